@@ -1,0 +1,43 @@
+# Everything a newcomer types. Needs only Python ≥ 3.11 and make: each target builds .venv from the lock by itself.
+PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
+  $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null && { echo $$p; break; }; done)
+BIN := .venv/bin
+SOURCES := ear_jax benchmarks tests
+
+.PHONY: setup demo test test-slow lint format bench lock
+
+setup: .venv/.made
+
+.venv/.made: requirements.lock pyproject.toml
+	@test -n "$(PYTHON)" || { echo "no Python between 3.11 and 3.13 found; set PYTHON=…" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: setup
+	$(BIN)/ear demo
+
+test: setup
+	$(BIN)/pytest
+
+test-slow: setup
+	$(BIN)/pytest -m slow
+
+lint: setup
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/mypy
+
+format: setup
+	$(BIN)/ruff check --fix $(SOURCES)
+	$(BIN)/ruff format $(SOURCES)
+
+bench: setup
+	$(BIN)/python -m benchmarks.update
+	$(BIN)/python -m benchmarks.physics
+
+# Pins every package with hashes for Python 3.11 to 3.13, without an index's address. Needs uv.
+lock:
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-emit-index-url \
+	  --quiet --group dev pyproject.toml --output-file requirements.lock

@@ -1,0 +1,96 @@
+"""Agents: what a method is, told by pure functions of parameters. The trainer and everything after it see only this."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.config import NetworkConfig
+from ear_jax.errors import unknown
+from ear_jax.networks import Params, mlp, unit
+from ear_jax.policy import Gaussian, gaussian
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A method as functions; obs is [obs], action [act], code [code], task a one-hot [tasks], all of one item.
+
+    A code is a row of the code table, and the policy knows a task by nothing else: interpolation, composition and search
+    only make new rows.
+    """
+
+    code_size: int
+    init_policy: Callable[[jax.Array], Params]
+    init_critic: Callable[[jax.Array], Params]
+    codes: Callable[[Params], jax.Array]  # policy parameters → table [tasks, code]
+    perturb: Callable[[jax.Array, jax.Array], jax.Array]  # code, standard normal noise [code] → code
+    distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
+    value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # one critic's parameters, obs, action, task
+
+
+def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_noise: float) -> Agent:
+    """EAR-SAC (paper, section 3.1): ψ(φ(s), LTE), both embeddings on unit spheres, and critics that see the one-hot.
+
+    Args:
+      obs_size, action_size, tasks: sizes.
+      config: widths and depths.
+      lte_noise: σ of the noise added to an LTE, before it is normalised again (algorithm 1).
+    """
+    widths = (config.width,)
+    encoder = mlp(obs_size, widths * config.encoder_layers, config.lse_size, config.initialiser)
+    task_encoder = mlp(tasks, widths * config.task_layers, config.lte_size, config.initialiser)
+    decoder = mlp(
+        config.lse_size + config.lte_size, widths * config.decoder_layers, 2 * action_size, config.initialiser
+    )
+    critic = mlp(
+        obs_size + action_size + tasks,
+        widths * config.critic_layers,
+        1,
+        config.initialiser,
+        config.critic_layer_norm,
+    )
+    on_lse_sphere = unit if config.normalise_lse else lambda lse: lse
+    on_lte_sphere = unit if config.normalise_lte else lambda lte: lte
+
+    def init_policy(key: jax.Array) -> Params:
+        key_encoder, key_task, key_decoder = jax.random.split(key, 3)
+        return {
+            "encoder": encoder.init(key_encoder),
+            "task_encoder": task_encoder.init(key_task),
+            "decoder": decoder.init(key_decoder),
+        }
+
+    def codes(policy: Params) -> jax.Array:
+        return jax.vmap(lambda task: on_lte_sphere(task_encoder.apply(policy["task_encoder"], task)))(jnp.eye(tasks))
+
+    def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
+        lse = on_lse_sphere(encoder.apply(policy["encoder"], obs))
+        return gaussian(decoder.apply(policy["decoder"], jnp.concatenate([lse, code])))
+
+    def value(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
+        return critic.apply(params, jnp.concatenate([obs, action, task]))[0]
+
+    return Agent(
+        code_size=config.lte_size,
+        init_policy=init_policy,
+        init_critic=critic.init,
+        codes=codes,
+        perturb=lambda code, noise: on_lte_sphere(code + lte_noise * noise),
+        distribution=distribution,
+        value=value,
+    )
+
+
+AGENTS = {"ear": ear}
+
+
+def make_agent(
+    name: str, obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_noise: float
+) -> Agent:
+    """An agent by name; raises UsageError where there is none."""
+    if name not in AGENTS:
+        raise unknown("agent", name, AGENTS)
+    return AGENTS[name](obs_size, action_size, tasks, config, lte_noise)

@@ -1,0 +1,54 @@
+"""Command lines parsed by tyro into frozen dataclasses, with its boxed complaints turned into one line."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from typing import TypeVar
+
+import tyro
+
+from ear_jax.errors import UsageError
+
+Parsed = TypeVar("Parsed")
+
+
+def parse(kind: type[Parsed], words: list[str], command: str, default: Parsed | None = None) -> Parsed:
+    """The command line as a `kind`.
+
+    Args:
+      kind: a dataclass; nested ones become `--group.setting`.
+      words: what follows the subcommand.
+      command: the subcommand, for messages and `--help`.
+      default: where settings stand that the command line does not name.
+
+    Raises:
+      UsageError: what is wrong, in one line, with the nearest real setting.
+    """
+    complaint = io.StringIO()
+    words = [word.capitalize() if word in ("true", "false") else word for word in words]
+    config = (tyro.conf.FlagCreatePairsOff,)
+    arguments = {} if default is None else {"default": default}
+    try:
+        with contextlib.redirect_stderr(complaint):
+            return tyro.cli(kind, args=words, prog=f"ear {command}", config=config, **arguments)
+    except SystemExit as stop:
+        if not stop.code:  # --help
+            raise
+        raise UsageError(_one_line(complaint.getvalue(), command)) from None
+
+
+def _one_line(box: str, command: str) -> str:
+    """What tyro says first in its box, and the first setting it proposes."""
+    lines = [line.strip("│ ").strip() for line in box.splitlines() if line.startswith("│")]
+    message = []
+    for line in lines:
+        if line.startswith("──"):
+            break
+        message.append(line)
+    text = re.sub(r"\s+", " ", " ".join(message))
+    if "Perhaps you meant:" in lines:
+        near = lines[lines.index("Perhaps you meant:") + 1].split()[0].split(",")[0]
+        text += f"; did you mean {near}?"
+    return f"{text} (`ear {command} --help` tells the options)"

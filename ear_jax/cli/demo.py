@@ -1,0 +1,56 @@
+"""`ear demo`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ear_jax import records
+from ear_jax.cli.arguments import parse
+from ear_jax.cli.evaluate import print_evaluation
+from ear_jax.config import preset_config
+from ear_jax.evaluate import evaluate
+from ear_jax.report.figures import draw_run
+from ear_jax.run import train_run
+from ear_jax.runtime import enable_cache
+from ear_jax.terminal import say
+from ear_jax.trained import load
+
+FAMILY = "halfcheetah-vel"
+EPISODES = 10
+SEED = 1  # of the evaluation's starts
+
+
+@dataclass(frozen=True)
+class DemoCommand:
+    """Train a small agent on three speeds, here and now, and see it run at each."""
+
+    out: Path = Path("runs/demo")
+    """The run directory."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(DemoCommand, words, "demo")
+    enable_cache()
+    train_run(preset_config(FAMILY, "smoke"), command.out)
+    evaluation = evaluate(load(command.out), EPISODES, SEED)
+    records.write_json(command.out / "evaluation.json", {**evaluation, **records.provenance()})
+    pictures = draw_run(command.out, records.read_rows(command.out / "metrics.jsonl"), evaluation)
+    tasks = [task for seed in evaluation["seeds"] for task in seed["tasks"]]
+    error = float(np.mean([abs(speed - task["target"]) for task in tasks for speed in task["episodes"]["velocity"]]))
+    if command.json:
+        print(json.dumps({**evaluation, "mean_absolute_error": error, "figures": [str(path) for path in pictures]}))
+        return
+    print_evaluation(evaluation)
+    print(f"mean |achieved − commanded| speed over {EPISODES} fresh episodes per task: {error:.2f} m/s")
+    print("pictures: " + ", ".join(str(path) for path in pictures))
+    say(f"""
+Next:
+  ear evaluate {command.out} --episodes 20     more episodes
+  ear train {FAMILY} --tasks 1 3 5      speeds of your own
+  ear train {FAMILY}                    all ten of the paper's""")

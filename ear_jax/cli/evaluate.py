@@ -1,0 +1,60 @@
+"""`ear evaluate RUN`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from ear_jax import records
+from ear_jax.cli.arguments import parse
+from ear_jax.errors import UsageError
+from ear_jax.evaluate import evaluate
+from ear_jax.runtime import enable_cache
+from ear_jax.trained import load
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """Play a run's newest policy on its training tasks, without exploration."""
+
+    run: tyro.conf.Positional[Path]
+    """The run directory."""
+    episodes: int = 3
+    """Episodes per task."""
+    seed: int = 0
+    """Seeds the starts, which no training step has seen."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(EvaluateCommand, words, "evaluate")
+    if command.episodes < 1:
+        raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
+    enable_cache()
+    evaluation = evaluate(load(command.run), command.episodes, command.seed)
+    records.write_json(command.run / "evaluation.json", {**evaluation, **records.provenance()})
+    if command.json:
+        print(json.dumps(evaluation))
+    else:
+        print_evaluation(evaluation)
+
+
+def print_evaluation(evaluation: dict[str, Any]) -> None:
+    """A table of the tasks, over all seeds."""
+    measured = evaluation["commanded"]
+    table = Table(title=f"{evaluation['run']}: mean return {evaluation['mean_return']:.1f}", title_justify="left")
+    for heading in ("task", f"{measured['outcome']} ({measured['unit']})", "return"):
+        table.add_column(heading, justify="left" if heading == "task" else "right")
+    seeds = evaluation["seeds"]
+    for tasks in zip(*(seed["tasks"] for seed in seeds), strict=True):
+        achieved = sum(task["outcome"][measured["outcome"]] for task in tasks) / len(tasks)
+        mean = sum(task["return_mean"] for task in tasks) / len(tasks)
+        table.add_row(tasks[0]["name"], f"{achieved:.2f}", f"{mean:.1f}")
+    Console(highlight=False).print(table)

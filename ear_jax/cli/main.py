@@ -1,0 +1,53 @@
+"""The `ear` command: picks the subcommand, and turns what goes wrong into one line and an exit code."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+from ear_jax.errors import RunError, UsageError, unknown
+
+# Each is a function main(arguments) in the module; imported only when it is called.
+COMMANDS = {
+    "train": ("ear_jax.cli.train", "train a policy on a family of tasks, or continue a run"),
+    "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks"),
+    "demo": ("ear_jax.cli.demo", "train a small agent here and now and see it run at commanded speeds"),
+    "doctor": ("ear_jax.cli.doctor", "say what this installation is and whether it can work"),
+}
+
+
+def usage() -> str:
+    lines = [f"  {name:<10} {what}" for name, (_, what) in COMMANDS.items()]
+    return (
+        "usage: ear COMMAND [OPTIONS]\n\ncommands:\n" + "\n".join(lines) + "\n\n`ear COMMAND --help` tells its options."
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
+    words = sys.argv[1:] if arguments is None else arguments
+    if not words or words[0] in ("-h", "--help"):
+        print(usage())
+        return 0 if words else 2
+    try:
+        if words[0] not in COMMANDS:
+            raise unknown("command", words[0], COMMANDS)
+        # JAX's and XLA's log lines are not for a person; a user who wants them sets this.
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+        module = importlib.import_module(COMMANDS[words[0]][0])
+        module.main(words[1:])
+        sys.stdout.flush()
+        return 0
+    except (UsageError, RunError) as error:
+        print(f"ear: {error}", file=sys.stderr)
+        return 2 if isinstance(error, UsageError) else 1
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read us has left
+        return 1
+    except Exception as error:
+        if type(error).__name__ == "Stopped":
+            return error.exit_code  # type: ignore[attr-defined]
+        raise

@@ -1,0 +1,54 @@
+"""`ear train FAMILY`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from ear_jax.cli.arguments import parse
+from ear_jax.config import Config, preset_config
+from ear_jax.envs import FAMILIES
+from ear_jax.errors import UsageError, unknown
+from ear_jax.run import default_directory, train_run
+from ear_jax.runtime import enable_cache
+
+
+@dataclass(frozen=True)
+class TrainCommand:
+    """Train a policy on a family of tasks. The same command on an unfinished run continues it."""
+
+    config: Annotated[tyro.conf.FlagConversionOff[Config], tyro.conf.arg(name="")]
+    out: Path | None = None
+    """The run directory; by default runs/FAMILY-AGENT-PRESET-seedN."""
+
+
+def main(words: list[str]) -> None:
+    enable_cache()
+    command = read(words)
+    train_run(command.config, command.out or default_directory(command.config))
+
+
+def read(words: list[str]) -> TrainCommand:
+    """The command line over the preset it names."""
+    family, rest = _family(words)
+    preset = "fast"
+    for index, word in enumerate(rest):
+        if word == "--preset" and index + 1 < len(rest):
+            preset = rest[index + 1]
+        elif word.startswith("--preset="):
+            preset = word.partition("=")[2]
+    return parse(TrainCommand, [family, *rest], "train", TrainCommand(preset_config(family, preset)))
+
+
+def _family(words: list[str]) -> tuple[str, list[str]]:
+    """The family, which comes first, and the rest."""
+    if words and words[0] in ("-h", "--help"):
+        return next(iter(FAMILIES)), words
+    if not words or words[0].startswith("-"):
+        raise UsageError(f"name a family first: ear train FAMILY (there are: {', '.join(sorted(FAMILIES))})")
+    if words[0] not in FAMILIES:
+        raise unknown("family", words[0], FAMILIES)
+    return words[0], words[1:]

@@ -1,0 +1,240 @@
+"""Settings by role, frozen and complete before JAX runs, and the presets as data."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_type_hints
+
+import tyro
+
+from ear_jax.errors import UsageError, unknown
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    width: int = 400
+    """Units in every hidden layer."""
+    encoder_layers: int = 2
+    """Hidden layers of the state encoder φ."""
+    decoder_layers: int = 4
+    """Hidden layers of the action decoder ψ."""
+    critic_layers: int = 4
+    """Hidden layers of each critic."""
+    task_layers: int = 0
+    """Hidden layers of the task encoder; the paper's is a single linear layer."""
+    lse_size: int = 16
+    """Size of the latent state embedding."""
+    lte_size: int = 3
+    """Size of the latent task embedding."""
+    normalise_lse: bool = True
+    """Put the LSE on its unit sphere."""
+    normalise_lte: bool = True
+    """Put the LTE on its unit sphere."""
+    critic_layer_norm: bool = False
+    """LayerNorm in the critics."""
+    initialiser: Literal["authors", "fan_in"] = "authors"
+    """Weights as in the authors' code, or uniform by fan-in."""
+
+
+@dataclass(frozen=True)
+class SacConfig:
+    lr: float = 3e-4
+    """Adam's step size, for the policy, each critic and the temperature."""
+    discount: float = 0.99
+    tau: float = 0.005
+    """How far the target critics follow the critics at each update."""
+    batch_size: int = 1280
+    """Transitions in an update, the same number for every task."""
+    updates: int = 200
+    """Gradient steps in an epoch."""
+    lte_noise: float = 0.02
+    """σ of the noise on the LTE in the actor's objectives; 0 is the ablation."""
+    reward_scale: float = 1.0
+    """What rewards are multiplied by in the critics' targets."""
+    max_grad_norm: float = 10.0
+    """Global norm to which each network's gradient is clipped."""
+
+
+@dataclass(frozen=True)
+class CollectConfig:
+    envs: int = 1
+    """Environments per task."""
+    steps: int = 200
+    """Steps of each environment in an epoch."""
+    pretrain_epochs: int = 20
+    """Epochs of collection with the untrained policy, without updates."""
+    stagger: bool = False
+    """Start the environments anywhere within their first episode."""
+
+
+@dataclass(frozen=True)
+class ReplayConfig:
+    capacity: int = 1_000_000
+    """Transitions held, all tasks together; each task's ring has an equal part."""
+    share_experience: bool = False
+    """Train every task on all tasks' transitions, scored for it."""
+    own_share: float = 0.0
+    """With shared experience: the part of a batch that still comes from the task's own transitions."""
+
+
+@dataclass(frozen=True)
+class LogConfig:
+    epochs: int = 10
+    """Epochs in a block: one compiled call, then one evaluation and one row a seed."""
+    episodes: int = 3
+    """Evaluation episodes per task."""
+    checkpoint_blocks: int = 5
+    """Blocks between checkpoints."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """A training run."""
+
+    family: tyro.conf.Positional[str]
+    preset: str = "fast"
+    agent: str = "ear"
+    engine: str = "auto"
+    """Physics engine: auto, native (CPU) or mjx."""
+    seed: int = 0
+    """The first seed."""
+    seeds: int = 1
+    """Seeds trained side by side: seed, seed + 1, …"""
+    epochs: int = 4000
+    """Stop after this many epochs in all."""
+    minutes: float | None = None
+    """Stop at the first block boundary past this much wall time in all."""
+    tasks: tuple[str, ...] = ()
+    """Training tasks, named as a person would (2 or vel-2); none: the paper's."""
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    sac: SacConfig = field(default_factory=SacConfig)
+    collect: CollectConfig = field(default_factory=CollectConfig)
+    replay: ReplayConfig = field(default_factory=ReplayConfig)
+    log: LogConfig = field(default_factory=LogConfig)
+
+
+# What a preset changes in the defaults above, which are the paper's for HalfCheetah-Vel.
+_FAST = {
+    "epochs": 400,
+    "network": {
+        "width": 256,
+        "encoder_layers": 1,
+        "decoder_layers": 2,
+        "critic_layers": 2,
+        "critic_layer_norm": True,
+        "initialiser": "fan_in",
+    },
+    "sac": {"lr": 1e-3, "discount": 0.98, "batch_size": 480, "reward_scale": 0.1},
+    "collect": {"envs": 8, "steps": 25, "stagger": True},
+    "replay": {"share_experience": True},
+}
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {},
+    "fast": _FAST,
+    "smoke": {
+        **_FAST,
+        "epochs": 60,
+        "tasks": ("1", "2", "3"),
+        "network": {**_FAST["network"], "width": 128},
+        "sac": {**_FAST["sac"], "batch_size": 240},
+        "replay": {"share_experience": True, "capacity": 300_000},
+        "log": {"epochs": 5},
+    },
+}
+
+
+def preset_config(family: str, preset: str) -> Config:
+    """The configuration a preset stands for; raises UsageError where there is none."""
+    if preset not in PRESETS:
+        raise unknown("preset", preset, PRESETS)
+    return from_dict({"family": family, "preset": preset, **PRESETS[preset]})
+
+
+def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> Any:
+    """Builds a configuration from nested dictionaries such as JSON holds; what is absent keeps its default.
+
+    Raises:
+      UsageError: a setting that does not exist.
+    """
+    types = get_type_hints(kind)
+    given: dict[str, Any] = {}
+    for name, value in values.items():
+        if name not in types:
+            raise unknown("setting", where + name, [where + known for known in types])
+        if dataclasses.is_dataclass(types[name]):
+            value = from_dict(value, types[name], f"{where}{name}.")
+        given[name] = tuple(value) if isinstance(value, list) else value
+    return kind(**given)
+
+
+def check(config: Config, tasks: int) -> None:
+    """Refuses values that cannot be trained with, before anything is compiled.
+
+    Args:
+      config: the configuration.
+      tasks: how many tasks it trains on.
+
+    Raises:
+      UsageError: the first that is wrong, with what is allowed.
+    """
+    for name, minimum in _MINIMA.items():
+        value = _setting(config, name)
+        if value is not None and not value >= minimum:
+            raise UsageError(f"{_flag(name)} {value} is too small; it must be at least {minimum}")
+    for name, (low, high) in _RANGES.items():
+        value = _setting(config, name)
+        if not low < value <= high:
+            raise UsageError(f"{_flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
+    for name in ("sac.lte_noise", "replay.own_share"):
+        if not 0 <= _setting(config, name) <= 1:
+            raise UsageError(f"{_flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
+    if config.sac.batch_size % tasks:
+        lower = max(1, config.sac.batch_size // tasks) * tasks
+        raise UsageError(
+            f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
+            f"try {lower} or {lower + tasks}"
+        )
+    epoch = config.collect.envs * config.collect.steps
+    if config.replay.capacity // tasks < epoch:
+        raise UsageError(
+            f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} steps; "
+            f"it must be at least {tasks * epoch}"
+        )
+
+
+_MINIMA = {
+    "seed": 0,
+    "seeds": 1,
+    "epochs": 1,
+    "minutes": 0,
+    **{f"network.{name}": 1 for name in ("width", "lse_size", "lte_size")},
+    **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
+    "sac.batch_size": 1,
+    "sac.updates": 1,
+    "collect.envs": 1,
+    "collect.steps": 1,
+    "collect.pretrain_epochs": 1,
+    "replay.capacity": 1,
+    "log.epochs": 1,
+    "log.episodes": 1,
+    "log.checkpoint_blocks": 1,
+}
+_RANGES = {
+    "sac.lr": (0.0, 1.0),
+    "sac.discount": (0.0, 1.0),
+    "sac.tau": (0.0, 1.0),
+    "sac.reward_scale": (0.0, 1e6),
+    "sac.max_grad_norm": (0.0, 1e9),
+}
+
+
+def _flag(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def _setting(config: Config, name: str) -> Any:
+    value: Any = config
+    for part in name.split("."):
+        value = getattr(value, part)
+    return value

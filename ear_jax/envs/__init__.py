@@ -1,0 +1,6 @@
+"""Task families: one file each, found by name."""
+
+from ear_jax.envs.family import Family
+from ear_jax.envs.registry import FAMILIES, make_family
+
+__all__ = ["FAMILIES", "Family", "make_family"]

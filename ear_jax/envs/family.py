@@ -1,0 +1,130 @@
+"""What a family of tasks is: one robot, one physics, and many ways to score what it did."""
+
+from __future__ import annotations
+
+import abc
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from ear_jax.physics import Motion, Physics, make_engine
+from ear_jax.physics.models import load_model
+from ear_jax.quiet import Env, State
+from ear_jax.tasks import Task, TaskParams, TaskSet
+
+Outcome = dict[str, jax.Array]
+
+
+class Family(Env):
+    """A Brax environment of one robot whose tasks share physics and differ in reward.
+
+    Everything is written for one environment. A step's physics yields an `outcome`, a few named scalars, and a task is
+    a pytree of numbers by which `reward` scores it: one roll-out can so be scored for any task. A subclass states the
+    model and the methods marked abstract, and never branches on a task.
+
+    As a Brax environment: `State.pipeline_state` is a `Physics`, `State.metrics` the outcome, `State.info["task"]` the
+    task's numbers and `State.info["key"]` the stream its later resets are drawn from. `reset` uses `self.task`.
+    """
+
+    name: ClassVar[str]
+    model_file: ClassVar[str]  # a model of Gymnasium's
+    substeps: ClassVar[int]  # MuJoCo steps in one environment step
+    mjx_solver: ClassVar[tuple[int, int]]  # solver and line-search iterations of MJX, measured
+    bodies: ClassVar[tuple[str, ...]] = ()  # bodies whose positions `outcome` reads
+    commanded: ClassVar[str]  # the outcome that a task's target commands
+    unit: ClassVar[str]  # of the target and of that outcome
+    episode_length: ClassVar[int] = 200  # steps; a time limit, which is no termination
+
+    def __init__(self, engine: str = "auto", task: Task | None = None):
+        self.model = self.load()
+        self.engine = make_engine(engine, self.model, self.substeps, self.bodies, self.mjx_solver)
+        self.task = task or self.training_tasks().tasks[0]
+        self.dt = float(self.model.opt.timestep) * self.substeps  # seconds in one environment step
+
+    # What a family says.
+
+    def load(self) -> mujoco.MjModel:
+        """The robot; by default one of Gymnasium's."""
+        return load_model(self.model_file)
+
+    @abc.abstractmethod
+    def training_tasks(self) -> TaskSet:
+        """The paper's training tasks, in the order of their one-hot codes."""
+
+    @abc.abstractmethod
+    def parse_task(self, text: str) -> Task:
+        """A task from the words a person uses for it; raises UsageError where there is none."""
+
+    @abc.abstractmethod
+    def initial(self, key: jax.Array) -> Physics:
+        """A random start."""
+
+    @abc.abstractmethod
+    def observe(self, physics: Physics) -> jax.Array:
+        """What the policy sees, [observation_size]."""
+
+    @abc.abstractmethod
+    def outcome(self, motion: Motion) -> Outcome:
+        """What the step achieved, as named scalars: all that any task of the family may be scored by."""
+
+    @abc.abstractmethod
+    def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
+        """Scores an outcome for one task; a scalar."""
+
+    def terminated(self, physics: Physics) -> jax.Array:
+        """Whether the robot has failed; a scalar bool. By default it cannot."""
+        return jnp.zeros((), bool)
+
+    # What follows from it.
+
+    def start(self, key: jax.Array, task: TaskParams) -> State:
+        """A random start of one task."""
+        key_initial, key_later = jax.random.split(key)
+        physics = self.initial(key_initial)
+        blank = jax.eval_shape(self.outcome, Motion(physics, *self._still()))
+        outcome = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank)
+        info: dict[str, Any] = {"task": task, "key": key_later}
+        return State(physics, self.observe(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
+
+    def reset(self, rng: jax.Array) -> State:
+        return self.start(rng, {name: jnp.float32(value) for name, value in self.task.params.items()})
+
+    def step(self, state: State, action: jax.Array) -> State:
+        motion = self.engine.step(state.pipeline_state, action)
+        outcome = self.outcome(motion)
+        return state.replace(
+            pipeline_state=motion.after,
+            obs=self.observe(motion.after),
+            reward=self.reward(outcome, state.info["task"]),
+            done=self.terminated(motion.after).astype(jnp.float32),
+            metrics={**state.metrics, **outcome},
+            info=_with_fresh_start(self, state.info),
+        )
+
+    @property
+    def observation_size(self) -> int:
+        return jax.eval_shape(lambda key: self.observe(self.initial(key)), jax.random.key(0)).shape[0]
+
+    @property
+    def action_size(self) -> int:
+        return self.model.nu
+
+    @property
+    def backend(self) -> str:
+        return self.engine.name
+
+    def _still(self) -> tuple[jax.Array, Physics, jax.Array]:
+        """The rest of a motion, for shapes only."""
+        qpos, speed = jnp.zeros(self.model.nq), jnp.zeros(self.model.nv)
+        return jnp.zeros(self.model.nu), Physics(qpos, speed, speed), jnp.zeros((len(self.bodies), 3))
+
+
+def _with_fresh_start(family: Family, info: dict[str, Any]) -> dict[str, Any]:
+    """Redraws the start that Brax's AutoResetWrapper keeps, which would otherwise replay one start for ever."""
+    if "first_obs" not in info:
+        return info
+    key_first, key_later = jax.random.split(info["key"])
+    first = family.initial(key_first)
+    return {**info, "key": key_later, "first_pipeline_state": first, "first_obs": family.observe(first)}

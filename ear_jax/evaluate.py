@@ -1,0 +1,128 @@
+"""What a policy does under given codes: whole episodes from random starts, without exploration."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from ear_jax.agents import Agent
+from ear_jax.envs.family import Family, Outcome
+from ear_jax.grid import Grid, Transition
+from ear_jax.networks import Params
+from ear_jax.rollout import act_with, rollout
+from ear_jax.runtime import compiler_options
+from ear_jax.tasks import TaskParams
+from ear_jax.train import Program, evaluation_keys
+from ear_jax.trained import Trained
+
+
+@struct.dataclass
+class Episodes:
+    """Episodes [rows, episodes]."""
+
+    returns: jax.Array
+    lengths: jax.Array  # int32, steps until termination or the time limit
+    outcome: Outcome  # each the mean over the second half of the episode: of a whole one, steps 101–200
+
+
+def play(
+    family: Family, agent: Agent, policy: Params, codes: jax.Array, tasks: TaskParams, key: jax.Array, episodes: int
+) -> Episodes:
+    """Plays episodes of tanh(mean) actions, each row under its own code and scored for its own task.
+
+    Args:
+      family: the environment.
+      agent, policy: who acts.
+      codes: [rows, code].
+      tasks: each leaf [rows].
+      key: seeds the starts.
+      episodes: how many a row.
+    """
+    rows, steps = codes.shape[0], family.episode_length
+    cells = Grid(family).start(key, tasks, episodes)
+    noise = jnp.zeros((steps, rows, episodes, family.action_size))
+
+    def record(transition: Transition) -> tuple[Outcome, jax.Array]:
+        return transition.outcome, transition.terminated | ~transition.valid
+
+    _, (outcome, failed) = rollout(Grid(family), act_with(agent, policy, codes), cells, noise, record)
+    failed_before = jnp.cumsum(failed, axis=0) - failed
+    playing = failed_before == 0  # [steps, rows, episodes]: the first episode only
+    lengths = jnp.sum(playing, axis=0)
+    reward = jax.vmap(jax.vmap(jax.vmap(family.reward, in_axes=(0, None))), in_axes=(0, None))(outcome, tasks)
+    late = playing & (jnp.arange(1, steps + 1)[:, None, None] > lengths // 2)
+
+    def late_mean(leaf: jax.Array) -> jax.Array:
+        return jnp.sum(jnp.where(late, leaf, 0.0), axis=0) / jnp.sum(late, axis=0)
+
+    returns = jnp.sum(jnp.where(playing, reward, 0.0), axis=0)
+    return Episodes(returns, lengths, jax.tree.map(late_mean, outcome))
+
+
+def play_training_tasks(program: Program, policy: Params, key: jax.Array, episodes: int) -> Episodes:
+    """Plays one policy on the tasks it was trained on."""
+    codes = program.agent.codes(policy)
+    return play(program.family, program.agent, policy, codes, program.tasks.params, key, episodes)
+
+
+def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
+    """Plays every seed's policy on the training tasks.
+
+    Args:
+      trained: the run.
+      episodes: how many a task.
+      seed: of the starts, all different from those of training.
+
+    Returns:
+      What `ear evaluate --json` prints: per seed and task the return (mean, standard deviation), the mean outcome, and
+      each episode.
+    """
+    program = trained.program
+    config, count = program.config, program.config.seeds
+    keys = evaluation_keys(jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), jnp.arange(count)), 0)
+    play_all = jax.jit(
+        jax.vmap(lambda policy, key: play_training_tasks(program, policy, key, episodes)),
+        compiler_options=compiler_options(),
+    )
+    played = jax.device_get(play_all(trained.policies, keys))
+    seeds = [
+        _describe_seed(program, config.seed + index, jax.tree.map(lambda leaf, index=index: leaf[index], played))
+        for index in range(count)
+    ]
+    return {
+        "run": trained.name,
+        "family": config.family,
+        "agent": config.agent,
+        "preset": config.preset,
+        "engine": program.family.engine.name,
+        "env_steps": program.env_steps(trained.epoch),
+        "updates": trained.epoch * config.sac.updates,
+        "episodes": episodes,
+        "commanded": {"outcome": program.family.commanded, "unit": program.family.unit},
+        "seeds": seeds,
+        "mean_return": float(np.mean(played.returns)),
+    }
+
+
+def _describe_seed(program: Program, seed: int, played: Episodes) -> dict[str, Any]:
+    """One seed's episodes [tasks, episodes] as a document."""
+    tasks = [
+        {
+            "name": task.name,
+            "target": task.target,
+            "return_mean": float(played.returns[row].mean()),
+            "return_std": float(played.returns[row].std()),
+            "outcome": {name: float(value[row].mean()) for name, value in played.outcome.items()},
+            "episodes": {
+                "return": played.returns[row].tolist(),
+                "length": played.lengths[row].tolist(),
+                **{name: value[row].tolist() for name, value in played.outcome.items()},
+            },
+        }
+        for row, task in enumerate(program.tasks.tasks)
+    ]
+    return {"seed": seed, "mean_return": float(played.returns.mean()), "tasks": tasks}

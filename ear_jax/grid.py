@@ -1,0 +1,80 @@
+"""The [task, env] batch: many environments of one family, a time limit and true random resets on top of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax.envs.family import Family, Outcome
+from ear_jax.quiet import State
+from ear_jax.tasks import TaskParams
+
+
+@struct.dataclass
+class Cell:
+    """One environment with its clock."""
+
+    state: State
+    steps: jax.Array  # int32, steps since the episode began
+
+
+@struct.dataclass
+class Transition:
+    """One environment step. A time limit is no termination, and `next_obs` is always the state really reached."""
+
+    obs: jax.Array  # [obs]
+    action: jax.Array  # [act]
+    next_obs: jax.Array  # [obs]
+    outcome: Outcome  # scalars by name
+    terminated: jax.Array  # bool: the robot failed, and no value follows
+    truncated: jax.Array  # bool: only the time ran out
+    valid: jax.Array  # bool: the physics stayed finite; otherwise nothing of this step may be learnt from
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Runs a batch of environments [rows, envs]; all environments of a row share a task."""
+
+    family: Family
+
+    def start(self, key: jax.Array, tasks: TaskParams, envs: int, stagger: bool = False) -> Cell:
+        """Random starts.
+
+        Args:
+          key: one key.
+          tasks: leaves [rows].
+          envs: environments in a row.
+          stagger: starts the clocks anywhere within an episode, so that the batch does not end all at once.
+
+        Returns:
+          Cells with leading axes [rows, envs].
+        """
+        rows = len(jax.tree.leaves(tasks)[0])
+        key_state, key_clock = jax.random.split(key)
+        keys = jax.random.split(key_state, (rows, envs))
+        state = jax.vmap(jax.vmap(self.family.start, in_axes=(0, None)))(keys, tasks)
+        steps = jnp.zeros((rows, envs), jnp.int32)
+        if stagger:
+            steps = jax.random.randint(key_clock, (rows, envs), 0, self.family.episode_length)
+        return Cell(state, steps)
+
+    def step(self, cells: Cell, action: jax.Array) -> tuple[Cell, Transition]:
+        """Steps the batch; `action` is [rows, envs, act]."""
+        return jax.vmap(jax.vmap(self._step_one))(cells, action)
+
+    def _step_one(self, cell: Cell, action: jax.Array) -> tuple[Cell, Transition]:
+        after = self.family.step(cell.state, action)
+        steps = cell.steps + 1
+        valid = jnp.all(jnp.isfinite(after.obs))
+        terminated = (after.done > 0) & valid
+        truncated = (steps >= self.family.episode_length) & ~terminated & valid
+        transition = Transition(cell.state.obs, action, after.obs, after.metrics, terminated, truncated, valid)
+        key_start, key_later = jax.random.split(cell.state.info["key"])
+        fresh = self.family.start(key_start, cell.state.info["task"])
+        going = after.replace(info={**after.info, "key": key_later})
+        over = terminated | truncated | ~valid
+        cell = jax.tree.map(lambda new, old: jnp.where(over, new, old), Cell(fresh, jnp.int32(0)), Cell(going, steps))
+        return cell, transition

@@ -1,0 +1,173 @@
+"""One gradient step of multi-task SAC, for any agent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from ear_jax import losses, replay
+from ear_jax.agents import Agent
+from ear_jax.config import Config
+from ear_jax.envs.family import Family
+from ear_jax.losses import Batch, Noise
+from ear_jax.networks import Params
+from ear_jax.replay import Replay
+from ear_jax.tasks import TaskParams
+
+CRITICS = 2
+
+
+@struct.dataclass
+class LearnerState:
+    """All that gradients change."""
+
+    policy: Params
+    critics: Params  # each leaf [critics, …]
+    target_critics: Params
+    log_temperature: jax.Array
+    policy_optimiser: Any
+    critic_optimiser: Any  # one a critic, each leaf [critics, …]
+    temperature_optimiser: Any
+
+
+@struct.dataclass
+class Draws:
+    """Everything random about one update, drawn for many at once: one large draw is cheaper than many small ones."""
+
+    source: jax.Array  # int32 [n], whose ring an item comes from
+    place: jax.Array  # [n] in [0, 1), where in that ring
+    now: Noise
+    next: Noise
+
+
+@dataclass(frozen=True)
+class Learner:
+    """The parts an update needs that never change."""
+
+    agent: Agent
+    family: Family
+    tasks: TaskParams  # each leaf [tasks]
+    config: Config
+
+    @property
+    def task_count(self) -> int:
+        return len(jax.tree.leaves(self.tasks)[0])
+
+    @property
+    def optimiser(self) -> optax.GradientTransformation:
+        sac = self.config.sac
+        return optax.chain(optax.clip_by_global_norm(sac.max_grad_norm), optax.adam(sac.lr))
+
+    def init(self, key: jax.Array) -> LearnerState:
+        key_policy, key_critics = jax.random.split(key)
+        policy = self.agent.init_policy(key_policy)
+        critics = jax.vmap(self.agent.init_critic)(jax.random.split(key_critics, CRITICS))
+        log_temperature = jnp.zeros(())
+        return LearnerState(
+            policy=policy,
+            critics=critics,
+            target_critics=jax.tree.map(jnp.copy, critics),
+            log_temperature=log_temperature,
+            policy_optimiser=self.optimiser.init(policy),
+            critic_optimiser=jax.vmap(self.optimiser.init)(critics),
+            temperature_optimiser=self.optimiser.init(log_temperature),
+        )
+
+    def draw(self, key: jax.Array, updates: int) -> Draws:
+        """The randomness of `updates` updates, each leaf [updates, n, …]."""
+        n, tasks, settings = self.config.sac.batch_size, self.task_count, self.config.replay
+        keys = jax.random.split(key, 6)
+        source = jnp.broadcast_to(self._batch_tasks(), (updates, n))
+        if settings.share_experience:
+            anyone = jax.random.randint(keys[0], (updates, n), 0, tasks)
+            source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, anyone)
+
+        def noise(key: jax.Array) -> Noise:
+            key_action, key_code = jax.random.split(key)
+            return Noise(
+                jax.random.normal(key_action, (updates, n, self.family.action_size)),
+                jax.random.normal(key_code, (updates, n, self.agent.code_size)),
+            )
+
+        return Draws(source, jax.random.uniform(keys[2], (updates, n)), noise(keys[3]), noise(keys[4]))
+
+    def update(self, state: LearnerState, buffer: Replay, draws: Draws) -> tuple[LearnerState, dict[str, jax.Array]]:
+        """One step of critics, policy and temperature, all differentiated where the state stood before it.
+
+        Args:
+          state: where the learner stands.
+          buffer: every ring holds at least one transition.
+          draws: the randomness of this update, each leaf [n, …].
+
+        Returns:
+          The next state, and scalars to watch.
+        """
+        batch = self._batch(buffer, draws)
+        temperature = jnp.exp(state.log_temperature)
+        target = self._target(state, batch, draws.next)
+
+        def critic_objective(critics):
+            values = losses.q_values(critics, self.agent, batch.obs, batch.action, batch.task, self.task_count)
+            return losses.critic_loss(values, target), values
+
+        def actor_objective(policy):
+            action, log_prob = losses.sample_policy(policy, self.agent, batch.obs, batch.task, draws.now)
+            value = losses.q_values(state.critics, self.agent, batch.obs, action, batch.task, self.task_count)
+            return losses.actor_loss(value, log_prob, temperature), log_prob
+
+        (critic_loss, values), critic_grad = jax.value_and_grad(critic_objective, has_aux=True)(state.critics)
+        (actor_loss, log_prob), actor_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
+        target_entropy = -float(self.family.action_size)
+        temperature_grad = jax.grad(losses.temperature_loss)(state.log_temperature, log_prob, target_entropy)
+
+        policy, policy_optimiser = self._apply(actor_grad, state.policy_optimiser, state.policy)
+        critics, critic_optimiser = jax.vmap(self._apply)(critic_grad, state.critic_optimiser, state.critics)
+        log_temperature, temperature_optimiser = self._apply(
+            temperature_grad, state.temperature_optimiser, state.log_temperature
+        )
+        state = LearnerState(
+            policy=policy,
+            critics=critics,
+            target_critics=optax.incremental_update(critics, state.target_critics, self.config.sac.tau),
+            log_temperature=log_temperature,
+            policy_optimiser=policy_optimiser,
+            critic_optimiser=critic_optimiser,
+            temperature_optimiser=temperature_optimiser,
+        )
+        watched = {
+            "critic_loss": critic_loss,
+            "actor_loss": actor_loss,
+            "temperature": temperature,
+            "entropy": -jnp.mean(log_prob),
+            "q_value": jnp.mean(values),
+        }
+        return state, watched
+
+    def _batch_tasks(self) -> jax.Array:
+        """Which task each item of a batch teaches, int32 [n]: all equally often."""
+        return jnp.repeat(jnp.arange(self.task_count), self.config.sac.batch_size // self.task_count)
+
+    def _batch(self, buffer: Replay, draws: Draws) -> Batch:
+        """Gathers experience and scores it for the tasks it is to teach, whosever it was."""
+        task = self._batch_tasks()
+        size = buffer.size[draws.source]
+        slot = jnp.minimum((draws.place * size).astype(jnp.int32), size - 1)
+        items = replay.gather(buffer, draws.source, slot)
+        params = jax.tree.map(lambda leaf: leaf[task], self.tasks)
+        reward = self.config.sac.reward_scale * jax.vmap(self.family.reward)(items.outcome, params)
+        return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)
+
+    def _target(self, state: LearnerState, batch: Batch, noise: Noise) -> jax.Array:
+        action, log_prob = losses.sample_policy(state.policy, self.agent, batch.next_obs, batch.task, noise)
+        value = losses.q_values(state.target_critics, self.agent, batch.next_obs, action, batch.task, self.task_count)
+        temperature = jnp.broadcast_to(jnp.exp(state.log_temperature), log_prob.shape)
+        return losses.td_target(batch, value, log_prob, temperature, self.config.sac.discount)
+
+    def _apply(self, grad: Params, optimiser_state: Any, params: Params) -> tuple[Params, Any]:
+        update, optimiser_state = self.optimiser.update(grad, optimiser_state, params)
+        return optax.apply_updates(params, update), optimiser_state

@@ -1,0 +1,65 @@
+"""The networks as pure functions of their parameters, each written for one item. The only file that knows Flax's modules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+
+Params = Any
+Initialiser = Literal["authors", "fan_in"]
+
+
+@dataclass(frozen=True)
+class Network:
+    """One network: `init(key)` gives parameters, `apply(params, x)` maps one item x [in] to [out]."""
+
+    init: Callable[[jax.Array], Params]
+    apply: Callable[[Params, jax.Array], jax.Array]
+
+
+def _uniform(bound: float) -> nn.initializers.Initializer:
+    return lambda key, shape, dtype=jnp.float32: jax.random.uniform(key, shape, dtype, -bound, bound)
+
+
+def _by_fan(axis: int) -> nn.initializers.Initializer:
+    """U(±1/√fan) of a kernel [in, out]; axis 0 is its fan-in, axis 1 its fan-out."""
+    return lambda key, shape, dtype=jnp.float32: _uniform(shape[axis] ** -0.5)(key, shape, dtype)
+
+
+class _Mlp(nn.Module):
+    widths: tuple[int, ...]
+    out: int
+    initialiser: Initialiser
+    layer_norm: bool
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        authors = self.initialiser == "authors"
+        kernel, last = (_by_fan(1), _uniform(3e-3)) if authors else (_by_fan(0), _by_fan(0))
+        bias, last_bias = (nn.initializers.constant(0.1), last) if authors else (nn.initializers.zeros,) * 2
+        for width in self.widths:
+            x = nn.Dense(width, kernel_init=kernel, bias_init=bias)(x)
+            if self.layer_norm:
+                x = nn.LayerNorm()(x)
+            x = nn.relu(x)
+        return nn.Dense(self.out, kernel_init=last, bias_init=last_bias)(x)
+
+
+def mlp(size: int, widths: tuple[int, ...], out: int, initialiser: Initialiser, layer_norm: bool = False) -> Network:
+    """ReLU layers of the given widths from `size` inputs to `out` outputs; without widths, one linear layer.
+
+    Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or by
+    `fan_in` (all weights U(±1/√fan_in), all biases 0).
+    """
+    module = _Mlp(widths, out, initialiser, layer_norm)
+    return Network(lambda key: module.init(key, jnp.zeros(size)), module.apply)
+
+
+def unit(x: jax.Array) -> jax.Array:
+    """Projects a vector [n] onto the unit sphere; its gradient stays finite at the origin."""
+    return x * jax.lax.rsqrt(jnp.sum(x**2) + 1e-12)

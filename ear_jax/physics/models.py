@@ -1,0 +1,36 @@
+"""The robots: Gymnasium's own MuJoCo models, found in the installed package and never copied."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import mujoco
+
+from ear_jax.errors import RunError
+
+
+def gymnasium_model_path(filename: str) -> Path:
+    """Where the installed `gymnasium` keeps a model, found without importing its environments."""
+    spec = importlib.util.find_spec("gymnasium")
+    if spec is None or not spec.submodule_search_locations:
+        raise RunError("the models come from the 'gymnasium' package, which is not installed: pip install gymnasium")
+    return Path(spec.submodule_search_locations[0]) / "envs" / "mujoco" / "assets" / filename
+
+
+def load_model(filename: str) -> mujoco.MjModel:
+    """Compiles one of Gymnasium's models, e.g. `half_cheetah.xml`.
+
+    `settotalmass` is deprecated and MuJoCo would complain into a MUJOCO_LOG.TXT in the user's directory, so the mass is
+    set on the compiled model instead, with identical constants. A state that is no longer finite stays so, as it does in
+    MJX, instead of being reset in silence: whoever steps decides.
+    """
+    spec = mujoco.MjSpec.from_file(str(gymnasium_model_path(filename)))
+    total_mass = spec.compiler.settotalmass
+    spec.compiler.settotalmass = -1
+    model = spec.compile()
+    if total_mass > 0:
+        mujoco.mj_setTotalmass(model, total_mass)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    return model

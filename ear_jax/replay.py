@@ -1,0 +1,70 @@
+"""One ring of transitions per task, holding outcomes rather than rewards, so that any task can score any of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax.grid import Transition
+
+
+@struct.dataclass
+class Experience:
+    """What is learnt from a transition."""
+
+    obs: jax.Array
+    action: jax.Array
+    next_obs: jax.Array
+    outcome: Any
+    terminated: jax.Array
+
+
+@struct.dataclass
+class Replay:
+    """Rings [tasks, capacity] and, per task, how many transitions were ever added."""
+
+    rings: Experience
+    added: jax.Array  # int32 [tasks]
+
+    @property
+    def size(self) -> jax.Array:
+        """Transitions each ring holds, int32 [tasks]."""
+        return jnp.minimum(self.added, self.rings.terminated.shape[1])
+
+
+def init(like: Experience, tasks: int, capacity: int) -> Replay:
+    """Empty rings; `like` is one item, arrays or their shapes."""
+    rings = jax.tree.map(lambda leaf: jnp.zeros((tasks, capacity, *leaf.shape), leaf.dtype), like)
+    return Replay(rings, jnp.zeros(tasks, jnp.int32))
+
+
+def add(replay: Replay, transitions: Transition) -> Replay:
+    """Adds [steps, tasks, envs] transitions, each to the ring of its task, in order of time; invalid ones are left out.
+
+    The oldest are overwritten. At most `capacity` may come at once.
+    """
+    experience = Experience(
+        transitions.obs, transitions.action, transitions.next_obs, transitions.outcome, transitions.terminated
+    )
+
+    def by_task(leaf: jax.Array) -> jax.Array:
+        return jnp.swapaxes(leaf, 0, 1).reshape(leaf.shape[1], -1, *leaf.shape[3:])
+
+    return jax.vmap(_add_to_ring)(replay, jax.tree.map(by_task, experience), by_task(transitions.valid))
+
+
+def _add_to_ring(replay: Replay, items: Experience, valid: jax.Array) -> Replay:
+    """One task's ring and its new items [n]."""
+    capacity = replay.rings.terminated.shape[0]
+    slot = (replay.added + jnp.cumsum(valid) - 1) % capacity
+    slot = jnp.where(valid, slot, capacity)  # past the end: such a write is dropped
+    rings = jax.tree.map(lambda ring, item: ring.at[slot].set(item, mode="drop"), replay.rings, items)
+    return Replay(rings, replay.added + jnp.sum(valid, dtype=jnp.int32))
+
+
+def gather(replay: Replay, source: jax.Array, slot: jax.Array) -> Experience:
+    """The items in the given slots of the given tasks' rings; `source` and `slot` int32 [n]."""
+    return jax.tree.map(lambda ring: ring[source, slot], replay.rings)

@@ -1,0 +1,73 @@
+"""Figures of one run, drawn from its records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+# Okabe and Ito's colours, told apart by the colour-blind too.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+STYLE = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "figure.dpi": 160,
+    "savefig.bbox": "tight",
+}
+
+
+def draw_run(directory: Path, rows: list[dict[str, Any]], evaluation: dict[str, Any]) -> list[Path]:
+    """Draws a run's learning curve, and what it achieved against what was commanded, into its `figures/`."""
+    figures = directory / "figures"
+    figures.mkdir(exist_ok=True)
+    paths = [figures / "learning_curve.png", figures / "commanded_achieved.png"]
+    for path, size, draw, records in zip(
+        paths, ((4.5, 3.0), (3.6, 3.4)), (learning_curve, commanded_against_achieved), (rows, evaluation), strict=True
+    ):
+        with plt.rc_context(STYLE):
+            figure, axes = plt.subplots(figsize=size)
+            draw(axes, records)
+            figure.savefig(path)
+            plt.close(figure)
+    return paths
+
+
+def learning_curve(axes: Axes, rows: list[dict[str, Any]]) -> None:
+    """Mean evaluation return against minutes, a line a seed."""
+    for index, seed in enumerate(sorted({row["seed"] for row in rows})):
+        mine = [row for row in rows if row["seed"] == seed]
+        minutes = [row["seconds"] / 60 for row in mine]
+        colour = COLOURS[index % len(COLOURS)]
+        axes.plot(minutes, [row["mean_return"] for row in mine], color=colour, marker=".", label=f"seed {seed}")
+    last = rows[-1]
+    steps = f"{last['env_steps']:,} env steps and {last['updates']:,} updates a seed"
+    axes.set(xlabel="wall time (min)", ylabel="return, mean over tasks", title=steps)
+    axes.legend(frameon=False)
+
+
+def commanded_against_achieved(axes: Axes, evaluation: dict[str, Any]) -> None:
+    """Every evaluation episode a point, on the line where it did what it was told."""
+    name, unit = evaluation["commanded"]["outcome"], evaluation["commanded"]["unit"]
+    for index, seed in enumerate(evaluation["seeds"]):
+        points = [(task["target"], value) for task in seed["tasks"] for value in task["episodes"][name]]
+        commanded, achieved = zip(*points, strict=True)
+        colour = COLOURS[index % len(COLOURS)]
+        axes.scatter(commanded, achieved, color=colour, s=18, alpha=0.7, label=f"seed {seed['seed']}", zorder=3)
+    low, high = min(0, axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])
+    axes.plot((low, high), (low, high), color="0.5", linewidth=1, label="as commanded")
+    axes.set(
+        xlim=(low, high),
+        ylim=(low, high),
+        aspect="equal",
+        xlabel=f"commanded {name} ({unit})",
+        ylabel=f"achieved {name} ({unit})",
+    )
+    axes.legend(frameon=False, loc="upper left")

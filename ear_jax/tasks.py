@@ -1,0 +1,65 @@
+"""Tasks: what tells one from another is a pytree of numbers, and many of them are that pytree stacked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.errors import UsageError, unknown
+
+TaskParams = dict[str, jax.Array]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task of a family: its name, the number a person commands, and the numbers its reward reads."""
+
+    name: str
+    target: float
+    params: dict[str, float]
+
+
+@dataclass(frozen=True)
+class TaskSet:
+    """Tasks in the order of their one-hot codes."""
+
+    tasks: tuple[Task, ...]
+
+    def __len__(self) -> int:
+        return len(self.tasks)
+
+    @property
+    def names(self) -> list[str]:
+        return [task.name for task in self.tasks]
+
+    @property
+    def targets(self) -> list[float]:
+        return [task.target for task in self.tasks]
+
+    @property
+    def params(self) -> TaskParams:
+        """The reward's numbers, each leaf [tasks]."""
+        return jax.tree.map(lambda *leaves: jnp.asarray(leaves, jnp.float32), *(task.params for task in self.tasks))
+
+    def index(self, name: str) -> int:
+        if name not in self.names:
+            raise unknown("task", name, self.names)
+        return self.names.index(name)
+
+
+def task_set(tasks: Sequence[Task]) -> TaskSet:
+    """A set of at least one task, none twice.
+
+    Raises:
+      UsageError: no task, or a task given twice.
+    """
+    names = [task.name for task in tasks]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UsageError(f"task {twice[0]!r} is given twice")
+    if not tasks:
+        raise UsageError("a task set needs at least one task")
+    return TaskSet(tuple(tasks))

@@ -1,0 +1,162 @@
+"""The training program: what is compiled, and nothing that touches the host."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax import replay
+from ear_jax.agents import Agent, make_agent
+from ear_jax.config import Config, check
+from ear_jax.envs import Family, make_family
+from ear_jax.grid import Cell, Grid, Transition
+from ear_jax.learner import Learner, LearnerState
+from ear_jax.replay import Experience, Replay
+from ear_jax.rollout import act_with, rollout
+from ear_jax.tasks import TaskSet, task_set
+
+Metrics = dict[str, jax.Array]
+EVALUATION_STREAM = 0x0E7A1  # keeps the keys of evaluation apart from those of training
+
+
+@struct.dataclass
+class TrainState:
+    """The whole run of one seed: stopping and resuming from it equals never stopping."""
+
+    learner: LearnerState
+    replay: Replay
+    cells: Cell  # the environments, [tasks, envs]
+    key: jax.Array
+    epoch: jax.Array  # int32, epochs trained
+
+
+@dataclass(frozen=True)
+class Program:
+    """A configuration made ready: the family on its engine, the agent, the learner."""
+
+    config: Config
+    family: Family
+    tasks: TaskSet
+    agent: Agent
+    learner: Learner
+
+    @property
+    def env_steps_per_epoch(self) -> int:
+        return len(self.tasks) * self.config.collect.envs * self.config.collect.steps
+
+    def env_steps(self, epoch: int) -> int:
+        """Environment steps of one seed after so many trained epochs, pretraining included."""
+        return self.env_steps_per_epoch * (self.config.collect.pretrain_epochs + epoch)
+
+
+def make_program(config: Config) -> Program:
+    """Checks a configuration and builds what it names; nothing is compiled.
+
+    Raises:
+      UsageError: a name or value that makes no sense.
+      RunError: the engine cannot run here.
+    """
+    family = make_family(config.family, config.engine)
+    tasks = task_set([family.parse_task(name) for name in config.tasks]) if config.tasks else family.training_tasks()
+    check(config, len(tasks))
+    sizes = (family.observation_size, family.action_size, len(tasks))
+    agent = make_agent(config.agent, *sizes, config.network, config.sac.lte_noise)
+    return Program(config, family, tasks, agent, Learner(agent, family, tasks.params, config))
+
+
+def seed_keys(config: Config) -> jax.Array:
+    """The key each seed starts from, [seeds]."""
+    return jax.vmap(jax.random.key)(config.seed + jnp.arange(config.seeds))
+
+
+def evaluation_keys(keys: jax.Array, number: int) -> jax.Array:
+    """Keys for an evaluation of each seed that no training step has used; keys [seeds]."""
+    return jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, EVALUATION_STREAM), number))(keys)
+
+
+def init(program: Program, key: jax.Array) -> TrainState:
+    """A fresh run of one seed."""
+    key_learner, key_cells, key_run = jax.random.split(key, 3)
+    config, family = program.config, program.family
+    collect = config.collect
+    cells = Grid(family).start(key_cells, program.tasks.params, collect.envs, collect.stagger)
+    obs = jnp.zeros(family.observation_size)
+    outcome = jax.tree.map(lambda leaf: leaf[0, 0], cells.state.metrics)
+    item = Experience(obs, jnp.zeros(family.action_size), obs, outcome, jnp.zeros((), bool))
+    return TrainState(
+        learner=program.learner.init(key_learner),
+        replay=replay.init(item, len(program.tasks), config.replay.capacity // len(program.tasks)),
+        cells=cells,
+        key=key_run,
+        epoch=jnp.int32(0),
+    )
+
+
+def pretrain(program: Program, state: TrainState) -> TrainState:
+    """Fills the replay with the untrained policy's roll-outs (algorithm 1, the pre-train epochs)."""
+
+    def epoch(state: TrainState, _: None) -> tuple[TrainState, None]:
+        key_collect, key_later = jax.random.split(state.key)
+        state, _ = _collect(program, state, key_collect)
+        return state.replace(key=key_later), None
+
+    return jax.lax.scan(epoch, state, length=program.config.collect.pretrain_epochs)[0]
+
+
+def begin(program: Program, key: jax.Array) -> TrainState:
+    """A run of one seed, ready to train."""
+    return pretrain(program, init(program, key))
+
+
+def train_chunk(program: Program, state: TrainState, epochs: jax.Array) -> tuple[TrainState, Metrics]:
+    """Trains for some epochs: collect from every task, add to replay, update.
+
+    Args:
+      program: what to train.
+      state: one seed's run; `jax.vmap` makes it many.
+      epochs: how many, an int32 scalar, so that a shorter last chunk is not compiled anew.
+
+    Returns:
+      The run afterwards, and scalars averaged over the chunk.
+    """
+
+    def epoch(_: jax.Array, carry: tuple[TrainState, Metrics]) -> tuple[TrainState, Metrics]:
+        state, total = carry
+        state, metrics = train_epoch(program, state)
+        return state, jax.tree.map(jnp.add, total, metrics)
+
+    shapes = jax.eval_shape(lambda state: train_epoch(program, state)[1], state)
+    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+    state, total = jax.lax.fori_loop(0, epochs, epoch, (state, nothing))
+    return state, jax.tree.map(lambda leaf: leaf / epochs, total)
+
+
+def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
+    """One epoch of one seed, and its scalars."""
+    key_collect, key_update, key_later = jax.random.split(state.key, 3)
+    state, collected = _collect(program, state, key_collect)
+    draws = program.learner.draw(key_update, program.config.sac.updates)
+    learner, watched = jax.lax.scan(
+        lambda learner, draws: program.learner.update(learner, state.replay, draws), state.learner, draws
+    )
+    state = state.replace(learner=learner, key=key_later, epoch=state.epoch + 1)
+    return state, {**jax.tree.map(jnp.mean, watched), **collected}
+
+
+def _collect(program: Program, state: TrainState, key: jax.Array) -> tuple[TrainState, Metrics]:
+    """Every task's environments take their steps of one epoch, under its own code, into its own ring."""
+    collect, family = program.config.collect, program.family
+    shape = (collect.steps, len(program.tasks), collect.envs, family.action_size)
+    policy = state.learner.policy
+    act = act_with(program.agent, policy, program.agent.codes(policy))
+    noise = jax.random.normal(key, shape)
+    cells, transitions = rollout(Grid(family), act, state.cells, noise, _whole)
+    invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
+    return state.replace(cells=cells, replay=replay.add(state.replay, transitions)), {"invalid_steps": invalid}
+
+
+def _whole(transition: Transition) -> Transition:
+    return transition
