@@ -18,8 +18,8 @@ from ear_jax.policy import Gaussian, gaussian
 class Agent:
     """A method as functions; obs is [obs], action [act], code [code], task a one-hot [tasks], all of one item.
 
-    A code is a row of the code table, and the policy knows a task by nothing else: interpolation, composition and search
-    only make new rows.
+    A code is a row of the code table, and the policy knows a task by nothing else: interpolation, composition and
+    search only make new rows.
     """
 
     code_size: int

@@ -115,7 +115,7 @@ class Config:
 
 
 # What a preset changes in the defaults above, which are the paper's for HalfCheetah-Vel.
-_FAST = {
+_FAST: dict[str, Any] = {
     "epochs": 400,
     "network": {
         "width": 256,
@@ -203,7 +203,7 @@ def check(config: Config, tasks: int) -> None:
         )
 
 
-_MINIMA = {
+_MINIMA: dict[str, int] = {
     "seed": 0,
     "seeds": 1,
     "epochs": 1,
@@ -220,7 +220,7 @@ _MINIMA = {
     "log.episodes": 1,
     "log.checkpoint_blocks": 1,
 }
-_RANGES = {
+_RANGES: dict[str, tuple[float, float]] = {
     "sac.lr": (0.0, 1.0),
     "sac.discount": (0.0, 1.0),
     "sac.tau": (0.0, 1.0),

@@ -1,4 +1,4 @@
-"""The networks as pure functions of their parameters, each written for one item. The only file that knows Flax's modules."""
+"""Networks as pure functions of parameters, each written for one item. The only file that knows Flax's modules."""
 
 from __future__ import annotations
 
@@ -53,11 +53,13 @@ class _Mlp(nn.Module):
 def mlp(size: int, widths: tuple[int, ...], out: int, initialiser: Initialiser, layer_norm: bool = False) -> Network:
     """ReLU layers of the given widths from `size` inputs to `out` outputs; without widths, one linear layer.
 
-    Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or by
-    `fan_in` (all weights U(±1/√fan_in), all biases 0).
+    Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or
+    by `fan_in` (all weights U(±1/√fan_in), all biases 0).
     """
     module = _Mlp(widths, out, initialiser, layer_norm)
-    return Network(lambda key: module.init(key, jnp.zeros(size)), module.apply)
+    return Network(
+        lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
+    )
 
 
 def unit(x: jax.Array) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Imports that print: MuJoCo XLA, which Brax imports too, says on stdout that Warp is missing, and would spoil `--json`."""
+"""Imports that print: MuJoCo XLA, which Brax imports too, says on stdout that Warp is missing and would spoil JSON."""
 
 from __future__ import annotations
 

@@ -18,8 +18,8 @@ def cache_dir() -> Path:
 
 
 def enable_cache() -> None:
-    """Turns JAX's persistent compilation cache on, unless the user has set one; does without where it cannot be made."""
-    if jax.config.jax_compilation_cache_dir:
+    """Turns JAX's persistent compilation cache on unless the user has set one; does without where it cannot be."""
+    if getattr(jax.config, "jax_compilation_cache_dir", None):
         return
     directory = cache_dir()
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -100,8 +100,8 @@ def pretrain(program: Program, state: TrainState) -> TrainState:
 
     def epoch(state: TrainState, _: None) -> tuple[TrainState, None]:
         key_collect, key_later = jax.random.split(state.key)
-        state, _ = _collect(program, state, key_collect)
-        return state.replace(key=key_later), None
+        state = _collect(program, state, key_collect)[0]
+        return replace(state, key=key_later), None
 
     return jax.lax.scan(epoch, state, length=program.config.collect.pretrain_epochs)[0]
 
@@ -142,7 +142,7 @@ def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metric
     learner, watched = jax.lax.scan(
         lambda learner, draws: program.learner.update(learner, state.replay, draws), state.learner, draws
     )
-    state = state.replace(learner=learner, key=key_later, epoch=state.epoch + 1)
+    state = replace(state, learner=learner, key=key_later, epoch=state.epoch + 1)
     return state, {**jax.tree.map(jnp.mean, watched), **collected}
 
 
@@ -155,7 +155,7 @@ def _collect(program: Program, state: TrainState, key: jax.Array) -> tuple[Train
     noise = jax.random.normal(key, shape)
     cells, transitions = rollout(Grid(family), act, state.cells, noise, _whole)
     invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
-    return state.replace(cells=cells, replay=replay.add(state.replay, transitions)), {"invalid_steps": invalid}
+    return replace(state, cells=cells, replay=replay.add(state.replay, transitions)), {"invalid_steps": invalid}
 
 
 def _whole(transition: Transition) -> Transition:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -40,6 +40,6 @@ def load(directory: Path) -> Trained:
     like = jax.eval_shape(jax.vmap(partial(train.init, program)), train.seed_keys(config))
     nothing = jax.tree.map(lambda _: False, like)
     policies = jax.tree.map(lambda _: True, like.learner.policy)
-    only = nothing.replace(learner=nothing.learner.replace(policy=policies))
+    only = replace(nothing, learner=replace(nothing.learner, policy=policies))
     state = checkpoint.restore(directory / "checkpoints", steps[-1], like, only)
     return Trained(str(directory), program, state.learner.policy, steps[-1])

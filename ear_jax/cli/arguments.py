@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import re
-from typing import TypeVar
+from itertools import groupby
+from typing import Any, TypeVar
 
 import tyro
 
@@ -29,7 +29,7 @@ def parse(kind: type[Parsed], words: list[str], command: str, default: Parsed | 
     complaint = io.StringIO()
     words = [word.capitalize() if word in ("true", "false") else word for word in words]
     config = (tyro.conf.FlagCreatePairsOff,)
-    arguments = {} if default is None else {"default": default}
+    arguments: dict[str, Any] = {} if default is None else {"default": default}
     try:
         with contextlib.redirect_stderr(complaint):
             return tyro.cli(kind, args=words, prog=f"ear {command}", config=config, **arguments)
@@ -40,15 +40,12 @@ def parse(kind: type[Parsed], words: list[str], command: str, default: Parsed | 
 
 
 def _one_line(box: str, command: str) -> str:
-    """What tyro says first in its box, and the first setting it proposes."""
-    lines = [line.strip("│ ").strip() for line in box.splitlines() if line.startswith("│")]
-    message = []
-    for line in lines:
-        if line.startswith("──"):
-            break
-        message.append(line)
-    text = re.sub(r"\s+", " ", " ".join(message))
+    """What tyro says first in its box, below the title, and the first setting it proposes."""
+    # The frame is of other characters, or blank, where the terminal cannot show it.
+    lines = [line.strip("│|╭╮╰╯─ ") for line in box.splitlines()]
+    paragraphs = [list(group) for text, group in groupby(lines[1:], lambda line: line.strip("-") != "") if text]
+    message = " ".join(paragraphs[0])
     if "Perhaps you meant:" in lines:
         near = lines[lines.index("Perhaps you meant:") + 1].split()[0].split(",")[0]
-        text += f"; did you mean {near}?"
-    return f"{text} (`ear {command} --help` tells the options)"
+        message += f"; did you mean {near}?"
+    return f"{message} (`ear {command} --help` tells the options)"

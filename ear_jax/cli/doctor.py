@@ -70,12 +70,12 @@ def _running() -> dict[str, Any]:
             "backend": jax.default_backend(),
             "devices": [str(device.device_kind) for device in jax.local_devices()],
             "free_memory_gb": None if memory is None else round(memory / 1e9, 1),
-            "matmul_precision": jax.config.jax_default_matmul_precision or "default",
+            "matmul_precision": getattr(jax.config, "jax_default_matmul_precision", None) or "default",
         },
         "engine": choose_engine("auto"),
         "compiler_options": compiler_options(),
         "rendering": next((name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)), None),
-        "compilation_cache": jax.config.jax_compilation_cache_dir or str(cache_dir()),
+        "compilation_cache": getattr(jax.config, "jax_compilation_cache_dir", None) or str(cache_dir()),
     }
 
 

@@ -51,3 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
         if type(error).__name__ == "Stopped":
             return error.exit_code  # type: ignore[attr-defined]
         raise
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -21,9 +21,8 @@ def gymnasium_model_path(filename: str) -> Path:
 def load_model(filename: str) -> mujoco.MjModel:
     """Compiles one of Gymnasium's models, e.g. `half_cheetah.xml`.
 
-    `settotalmass` is deprecated and MuJoCo would complain into a MUJOCO_LOG.TXT in the user's directory, so the mass is
-    set on the compiled model instead, with identical constants. A state that is no longer finite stays so, as it does in
-    MJX, instead of being reset in silence: whoever steps decides.
+    `settotalmass` is deprecated and MuJoCo would complain into a MUJOCO_LOG.TXT in the user's directory, so the mass
+    is set on the compiled model instead, with identical constants.
     """
     spec = mujoco.MjSpec.from_file(str(gymnasium_model_path(filename)))
     total_mass = spec.compiler.settotalmass
@@ -32,5 +31,4 @@ def load_model(filename: str) -> mujoco.MjModel:
     if total_mass > 0:
         mujoco.mj_setTotalmass(model, total_mass)
         mujoco.mj_setConst(model, mujoco.MjData(model))
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     return model

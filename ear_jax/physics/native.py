@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import jax
@@ -25,7 +26,9 @@ class NativeEngine:
     name = "native"
 
     def __init__(self, model: mujoco.MjModel, substeps: int, body_ids: list[int]):
-        self._model = model
+        self._model = copy.copy(model)
+        # A state that is no longer finite stays so, as it does in MJX, instead of being reset in silence.
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._substeps = substeps
         self._body_ids = body_ids
         # Positions lag one substep behind the state after mj_step, so a family that reads them pays for a refresh.

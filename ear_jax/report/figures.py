@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 
 # Okabe and Ito's colours, told apart by the colour-blind too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-STYLE = {
+STYLE: Any = {
     "font.size": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -28,16 +29,21 @@ def draw_run(directory: Path, rows: list[dict[str, Any]], evaluation: dict[str, 
     """Draws a run's learning curve, and what it achieved against what was commanded, into its `figures/`."""
     figures = directory / "figures"
     figures.mkdir(exist_ok=True)
-    paths = [figures / "learning_curve.png", figures / "commanded_achieved.png"]
-    for path, size, draw, records in zip(
-        paths, ((4.5, 3.0), (3.6, 3.4)), (learning_curve, commanded_against_achieved), (rows, evaluation), strict=True
-    ):
-        with plt.rc_context(STYLE):
-            figure, axes = plt.subplots(figsize=size)
-            draw(axes, records)
-            figure.savefig(path)
-            plt.close(figure)
-    return paths
+    return [
+        _draw(figures / "learning_curve.png", (4.5, 3.0), lambda axes: learning_curve(axes, rows)),
+        _draw(
+            figures / "commanded_achieved.png", (3.6, 3.4), lambda axes: commanded_against_achieved(axes, evaluation)
+        ),
+    ]
+
+
+def _draw(path: Path, inches: tuple[float, float], draw: Callable[[Axes], None]) -> Path:
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(figsize=inches)
+        draw(axes)
+        figure.savefig(path)
+        plt.close(figure)
+    return path
 
 
 def learning_curve(axes: Axes, rows: list[dict[str, Any]]) -> None:

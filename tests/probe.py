@@ -1,0 +1,67 @@
+"""Families with known answers, on a physics of one sliding mass."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from ear_jax.envs import Family
+from ear_jax.envs.family import Outcome
+from ear_jax.physics import Motion, Physics
+from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
+
+SLIDER = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 0"/>
+  <worldbody><body><joint name="slide" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
+  <actuator><motor joint="slide" ctrlrange="-1 1" ctrllimited="true"/></actuator>
+</mujoco>
+"""
+
+
+class Bandit(Family):
+    """One step, then it is over; the reward is −(a − a*)². Tasks look alike: only their code tells them apart."""
+
+    name = "bandit"
+    substeps = 1
+    mjx_solver = (1, 1)
+    commanded, unit = "action", "1"
+    targets = (-0.5, 0.5)
+
+    def load(self) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(SLIDER)
+
+    def training_tasks(self) -> TaskSet:
+        return task_set([self.parse_task(str(target)) for target in self.targets])
+
+    def parse_task(self, text: str) -> Task:
+        return Task(name=text, target=float(text), params={"action": float(text)})
+
+    def initial(self, key: jax.Array) -> Physics:
+        return Physics(jax.random.uniform(key, (1,)), jnp.zeros(1), jnp.zeros(1))
+
+    def observe(self, physics: Physics) -> jax.Array:
+        return jnp.ones(1) + 0 * physics.qpos
+
+    def outcome(self, motion: Motion) -> Outcome:
+        return {"action": motion.action[0]}
+
+    def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
+        return -((outcome["action"] - task["action"]) ** 2)
+
+    def terminated(self, physics: Physics) -> jax.Array:
+        return jnp.ones((), bool)
+
+
+class Slider(Bandit):
+    """Goes on until the time limit of 4 steps, sees where it is and how fast, and fails past x = 2."""
+
+    name = "slider"
+    episode_length = 4
+
+    def observe(self, physics: Physics) -> jax.Array:
+        return jnp.concatenate([physics.qpos, physics.qvel])
+
+    def terminated(self, physics: Physics) -> jax.Array:
+        return physics.qpos[0] > 2

@@ -1,0 +1,169 @@
+"""The command line as a user meets it: one line for a mistake, one document for `--json`."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ear_jax.cli.doctor import known_bad
+from ear_jax.cli.main import main
+from ear_jax.cli.train import read
+from ear_jax.records import versions
+
+TINY = [
+    "--engine",
+    "native",
+    "--tasks",
+    "1",
+    "3",
+    "--epochs",
+    "2",
+    "--network.width",
+    "16",
+    "--sac.batch-size",
+    "32",
+    "--sac.updates",
+    "4",
+    "--collect.envs",
+    "2",
+    "--collect.steps",
+    "5",
+    "--collect.pretrain-epochs",
+    "2",
+    "--replay.capacity",
+    "400",
+    "--log.epochs",
+    "2",
+    "--log.episodes",
+    "1",
+]
+
+
+def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """The installed command, in a process of its own."""
+    command = [sys.executable, "-m", "ear_jax.cli.main", *words]
+    environment = {**os.environ, "EAR_JAX_CACHE": str(cwd / "cache")}
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("trian", "did you mean 'train'"),
+        ("train", "name a family first"),
+        ("train halfcheeta-vel", "did you mean 'halfcheetah-vel'"),
+        ("train halfcheetah-vel --preset fats", "did you mean 'fast'"),
+        ("train halfcheetah-vel --sac.lrr 1", "did you mean --sac.lr?"),
+        ("train halfcheetah-vel --sac.lr abc", "could not convert string to float: 'abc'"),
+        ("train halfcheetah-vel --sac.lr -1", "must be above 0"),
+        ("train halfcheetah-vel --seeds 0", "--seeds 0 is too small; it must be at least 1"),
+        ("train halfcheetah-vel --collect.envs -3", "must be at least 1"),
+        ("train halfcheetah-vel --sac.batch-size 481", "try 480 or 490"),
+        ("train halfcheetah-vel --agent eer", "did you mean 'ear'"),
+        ("train halfcheetah-vel --engine mjxx", "did you mean 'mjx'"),
+        ("train halfcheetah-vel --tasks 1 fast", "name a speed in metres per second"),
+        ("train halfcheetah-vel --tasks 2 vel-2", "'vel-2' is given twice"),
+        ("train halfcheetah-vel --replay.capacity 100", "it must be at least 2000"),
+        ("train halfcheetah-vel --out afile", "afile is a file"),
+        ("train halfcheetah-vel --out afile/run", "afile is a file"),
+        ("train halfcheetah-vel --out full", "neither empty nor a run directory"),
+        ("evaluate nowhere", "not a run directory"),
+        ("evaluate", "Missing"),
+        ("evaluate full --episodes 0", "must be at least 1"),
+    ],
+)
+def test_a_mistake_gets_one_clear_line_and_exit_code_2(words, complaint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("afile").touch()
+    Path("full").mkdir()
+    Path("full/something").touch()
+    assert main(words.split()) == 2
+    streams = capsys.readouterr()
+    assert complaint in streams.err
+    assert streams.err.startswith("ear: ")
+    assert streams.err.count("\n") == 1
+    assert streams.out == ""
+    assert not Path("runs").exists()
+
+
+def test_too_large_a_replay_is_refused_with_the_sizes(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "halfcheetah-vel", "--replay.capacity", "100000000000"]) == 1
+    assert re.fullmatch(r"ear: this run needs [\d.]+ GB .* [\d.]+ GB are free; lower .*\n", capsys.readouterr().err)
+    assert not Path("runs").exists()
+
+
+def test_an_engine_that_cannot_run_here_is_exit_code_1(tmp_path, monkeypatch, capsys):
+    import jax
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert main(["train", "halfcheetah-vel", "--engine", "native"]) == 1
+    assert "use 'mjx'" in capsys.readouterr().err
+
+
+def test_settings_override_the_preset():
+    config = read(
+        ["halfcheetah-vel", "--preset", "smoke", "--sac.lr", "1e-4", "--replay.share-experience", "false"]
+    ).config
+    assert (config.preset, config.sac.lr, config.replay.share_experience) == ("smoke", 1e-4, False)
+    assert config.tasks == ("1", "2", "3")
+    assert config.sac.batch_size == 240
+
+
+def test_paper_preset_is_the_papers():
+    config = read(["halfcheetah-vel", "--preset", "paper"]).config
+    assert (config.network.width, config.sac.batch_size, config.sac.lr, config.epochs) == (400, 1280, 3e-4, 4000)
+    assert (config.network.encoder_layers, config.network.decoder_layers, config.network.critic_layers) == (2, 4, 4)
+    assert (config.sac.discount, config.sac.tau, config.sac.lte_noise) == (0.99, 0.005, 0.02)
+    assert config.collect.envs * config.collect.steps == config.sac.updates == 200
+    assert (config.replay.capacity, config.collect.pretrain_epochs) == (1_000_000, 20)
+
+
+def test_train_then_evaluate_prints_one_json_document(tmp_path):
+    trained = ear("train", "halfcheetah-vel", *TINY, "--seeds", "2", "--out", "run", cwd=tmp_path)
+    assert (trained.returncode, trained.stdout) == (0, ""), trained.stderr
+    assert "epoch 2/2" in trained.stderr
+    done = ear("evaluate", "run", "--episodes", "2", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert (document["env_steps"], document["updates"], document["episodes"]) == (80, 8, 2)
+    assert [seed["seed"] for seed in document["seeds"]] == [0, 1]
+    task = document["seeds"][1]["tasks"][1]
+    assert (task["name"], task["target"], len(task["episodes"]["velocity"])) == ("vel-3", 3.0, 2)
+    assert set(task["outcome"]) == {"velocity", "squared_action"}
+    again = ear("evaluate", "run", "--episodes", "2", "--json", cwd=tmp_path)
+    assert again.stdout == done.stdout
+    other = ear("evaluate", "run", "--episodes", "2", "--json", "--seed", "5", cwd=tmp_path)
+    assert other.stdout != done.stdout
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_doctor_is_content_here_and_prints_json(tmp_path):
+    done = ear("doctor", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["problems"] == []
+    assert document["engine"] == "native"
+
+
+def test_doctor_knows_bad_mixes():
+    good = versions()
+    assert known_bad(good, (3, 11)) == []
+    assert "do not belong together" in known_bad({**good, "mujoco": "4.0.0"}, (3, 11))[0]
+    assert "not supported" in known_bad(good, (3, 10))[0]
+    assert "untried" in known_bad({**good, "jax": "0.9.1", "jaxlib": "0.9.1"}, (3, 11))[0]
+    assert "not installed" in known_bad({**good, "brax": None}, (3, 11))[0]
+
+
+def test_importing_prints_nothing(tmp_path):
+    code = "import ear_jax, ear_jax.run, ear_jax.evaluate, ear_jax.cli.main, ear_jax.physics.mjx"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,127 @@
+"""What an update moves, what it must not, and whether it solves what can be solved by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from probe import Bandit
+
+from ear_jax import train
+from ear_jax.agents import make_agent
+from ear_jax.config import Config, NetworkConfig
+from ear_jax.evaluate import play_training_tasks
+from ear_jax.learner import Learner
+from ear_jax.runtime import compiler_options
+from ear_jax.train import Program
+
+
+def bandit_program(**sac: object) -> Program:
+    base = Config("bandit")
+    config = dataclasses.replace(
+        base,
+        network=NetworkConfig(32, 1, 1, 1, initialiser="fan_in"),
+        sac=dataclasses.replace(base.sac, lr=1e-2, batch_size=64, updates=50, **sac),
+        collect=dataclasses.replace(base.collect, envs=16, steps=2, pretrain_epochs=4),
+        replay=dataclasses.replace(base.replay, capacity=4000),
+    )
+    family = Bandit("native")
+    tasks = family.training_tasks()
+    agent = make_agent("ear", 1, 1, len(tasks), config.network, config.sac.lte_noise)
+    return Program(config, family, tasks, agent, Learner(agent, family, tasks.params, config))
+
+
+@pytest.fixture(scope="module")
+def program() -> Program:
+    return bandit_program()
+
+
+@pytest.fixture(scope="module")
+def begun(program: Program) -> train.TrainState:
+    return jax.jit(partial(train.begin, program), compiler_options=compiler_options())(jax.random.key(0))
+
+
+def one_update(program: Program, state: train.TrainState, **changes: object):
+    draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
+    learner = dataclasses.replace(state.learner, **changes)
+    return learner, *program.learner.update(learner, state.replay, draws)
+
+
+def test_code_alone_tells_two_tasks_apart(program, begun):
+    """Same observation, opposite targets: solved only through the LTEs. The temperature is learnt too."""
+    state, _ = jax.jit(partial(train.train_chunk, program), compiler_options=compiler_options())(begun, jnp.int32(20))
+    played = play_training_tasks(program, state.learner.policy, jax.random.key(2), 4)
+    np.testing.assert_allclose(played.outcome["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
+
+
+def test_lte_rows_have_unit_norm(program, begun):
+    codes = program.agent.codes(begun.learner.policy)
+    assert codes.shape == (2, 3)
+    np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, rtol=1e-5)
+    moved = program.agent.perturb(codes[0], jnp.ones(3))
+    assert np.linalg.norm(moved) == pytest.approx(1, rel=1e-5)
+    assert 0 < np.linalg.norm(moved - codes[0]) < 0.1
+
+
+def test_first_adam_step_is_the_learning_rate(program, begun):
+    """Every parameter with a gradient moves by lr, the temperature up or down by exactly that."""
+    before, after, watched = one_update(program, begun)
+    assert abs(float(after.log_temperature - before.log_temperature)) == pytest.approx(1e-2, rel=1e-3)
+    for old, new in zip(jax.tree.leaves(before.critics), jax.tree.leaves(after.critics), strict=True):
+        assert np.abs(new - old).max() <= 1.01e-2
+    assert np.isfinite(list(jax.tree.map(float, watched).values())).all()
+
+
+def test_target_critics_follow_by_tau(program, begun):
+    before, after, _ = one_update(program, begun)
+    for old, target, new in zip(
+        *map(jax.tree.leaves, (before.target_critics, after.target_critics, after.critics)), strict=True
+    ):
+        np.testing.assert_allclose(target, 0.995 * old + 0.005 * new, rtol=1e-4, atol=1e-7)
+
+
+def test_critics_are_independent(program, begun):
+    """Disturbing one critic's parameters leaves the other's update as it was (the policy sees both, critics do not)."""
+    disturbed = jax.tree.map(lambda leaf: leaf.at[1].multiply(1.5), begun.learner.critics)
+    _, plain, _ = one_update(program, begun)
+    _, other, _ = one_update(program, begun, critics=disturbed)
+    for one, two in zip(jax.tree.leaves(plain.critics), jax.tree.leaves(other.critics), strict=True):
+        np.testing.assert_array_equal(one[0], two[0])
+    assert any((one[1] != two[1]).any() for one, two in zip(*map(jax.tree.leaves, (plain.critics, other.critics))))
+
+
+def test_batches_are_balanced_and_sources_follow_the_setting(program):
+    own = program.learner.draw(jax.random.key(0), 3).source
+    np.testing.assert_array_equal(own, np.broadcast_to(np.repeat([0, 1], 32), (3, 64)))
+    replay = dataclasses.replace(program.config.replay, share_experience=True)
+    shared = dataclasses.replace(program.learner, config=dataclasses.replace(program.config, replay=replay))
+    source = np.asarray(shared.draw(jax.random.key(0), 100).source)
+    assert source[:, :32].mean() == pytest.approx(0.5, abs=0.05)
+    half = dataclasses.replace(
+        shared, config=dataclasses.replace(shared.config, replay=dataclasses.replace(replay, own_share=0.5))
+    )
+    assert np.asarray(half.draw(jax.random.key(0), 100).source)[:, :32].mean() == pytest.approx(0.25, abs=0.05)
+
+
+def test_shared_transitions_are_scored_for_the_task_they_teach(program, begun):
+    replay = dataclasses.replace(program.config.replay, share_experience=True)
+    learner = dataclasses.replace(program.learner, config=dataclasses.replace(program.config, replay=replay))
+    draws = jax.tree.map(lambda leaf: leaf[0], learner.draw(jax.random.key(3), 1))
+    batch = learner._batch(begun.replay, draws)
+    target = np.array([-0.5, 0.5])[np.asarray(batch.task)]
+    np.testing.assert_allclose(batch.reward, -((np.asarray(batch.action)[:, 0] - target) ** 2), rtol=1e-5)
+    assert (np.asarray(draws.source) != np.asarray(batch.task)).any()
+
+
+def test_truncation_bootstraps_and_termination_does_not(program, begun):
+    draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
+    batch = program.learner._batch(begun.replay, draws)
+    assert batch.terminated.all(), "every step of a bandit ends it"
+    ended = program.learner._target(begun.learner, batch, draws.next)
+    np.testing.assert_allclose(ended, batch.reward)
+    going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
+    assert (program.learner._target(begun.learner, going, draws.next) != batch.reward).all()

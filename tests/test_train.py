@@ -1,0 +1,143 @@
+"""The training program's contract: traced once, seeds independent, stop and resume equals never stopping."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from conftest import tiny_config
+
+from ear_jax import checkpoint, records, train
+from ear_jax.errors import UsageError
+from ear_jax.run import compile_program, train_run
+from ear_jax.train import make_program, seed_keys
+
+
+def state_after(config, chunks: int):
+    keys = seed_keys(config)
+    compiled = compile_program(make_program(config), keys)
+    state = compiled.begin(keys)
+    for _ in range(chunks):
+        state, _ = compiled.chunk(state, jnp.int32(2))
+    return state
+
+
+def leaves(state) -> list[np.ndarray]:
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(checkpoint._bare_keys(state))]
+
+
+def test_chunk_is_traced_once_in_a_run_of_several(tiny, run_directory, monkeypatch):
+    traces = []
+    original = train.train_epoch
+    monkeypatch.setattr(train, "train_epoch", lambda *words: traces.append(1) or original(*words))
+    train_run(dataclasses.replace(tiny, epochs=7), run_directory)  # blocks of 2, and a last of 1
+    assert len(records.read_rows(run_directory / "metrics.jsonl")) == 4
+    assert len(traces) == 2, "once for the shapes of the metrics and once for the loop"
+
+
+def test_equal_seeds_agree_bit_for_bit_and_different_seeds_differ(tiny):
+    for one, two in zip(leaves(state_after(tiny, 2)), leaves(state_after(tiny, 2)), strict=True):
+        np.testing.assert_array_equal(one, two)
+    both = state_after(dataclasses.replace(tiny, seeds=2), 1)
+    policy = jax.tree.leaves(both.learner.policy)
+    assert all((leaf[0] != leaf[1]).any() for leaf in policy if np.asarray(leaf[0]).any())
+
+
+def test_a_seed_of_many_equals_that_seed_alone(tiny):
+    many = state_after(dataclasses.replace(tiny, seeds=3), 1)
+    alone = state_after(dataclasses.replace(tiny, seed=2), 1)
+    for one, two in zip(leaves(many.learner), leaves(alone.learner), strict=True):
+        np.testing.assert_allclose(one[2], two[0], rtol=2e-3, atol=2e-5)
+
+
+def test_stopping_and_continuing_equals_never_stopping(tiny, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    train_run(tiny, whole)
+    train_run(dataclasses.replace(tiny, epochs=2), parts)
+    train_run(tiny, parts)
+    program = make_program(tiny)
+    like = jax.eval_shape(jax.vmap(partial(train.init, program)), seed_keys(tiny))
+    states = [checkpoint.restore(run / "checkpoints", 4, like) for run in (whole, parts)]
+    for one, two in zip(*map(leaves, states), strict=True):
+        np.testing.assert_array_equal(one, two)
+    rows = [records.read_rows(run / "metrics.jsonl") for run in (whole, parts)]
+    for row in (*rows[0], *rows[1]):
+        del row["seconds"]
+    assert rows[0] == rows[1]
+
+
+def test_rows_past_the_checkpoint_are_written_once(tiny, run_directory):
+    train_run(dataclasses.replace(tiny, epochs=2), run_directory)
+    log = run_directory / "metrics.jsonl"
+    row = records.read_rows(log)[0]
+    log.write_text(json.dumps(row) + "\n" + json.dumps({**row, "epoch": 4}) + "\n" + '{"epoch": 4, "to')
+    train_run(tiny, run_directory)
+    assert [row["epoch"] for row in records.read_rows(log)] == [2, 4]
+
+
+def test_finished_run_is_left_alone(tiny, run_directory, capsys):
+    train_run(tiny, run_directory)
+    before = {path: path.stat().st_mtime_ns for path in run_directory.rglob("*") if path.name != "metrics.jsonl"}
+    train_run(tiny, run_directory)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert "is finished" in capsys.readouterr().err
+
+
+def test_minutes_stop_a_run_and_more_continue_it(tiny, run_directory):
+    short = dataclasses.replace(tiny, minutes=0.0001, epochs=6)
+    train_run(short, run_directory)
+    # Setting up took longer than that already: nothing is trained, and what stands there can be continued.
+    train_run(dataclasses.replace(short, minutes=None), run_directory)
+    assert records.read_rows(run_directory / "metrics.jsonl")[-1]["epoch"] == 6
+
+
+def test_changed_settings_are_refused_with_the_difference(tiny, run_directory):
+    train_run(tiny, run_directory)
+    changed = dataclasses.replace(tiny, sac=dataclasses.replace(tiny.sac, lr=0.5))
+    with pytest.raises(UsageError, match=r"sac\.lr was 0\.001, is 0\.5"):
+        train_run(changed, run_directory)
+
+
+def test_counts_in_the_metrics(tiny, run_directory):
+    train_run(dataclasses.replace(tiny, seeds=2), run_directory)
+    rows = records.read_rows(run_directory / "metrics.jsonl")
+    assert [(row["seed"], row["epoch"]) for row in rows] == [(0, 2), (1, 2), (0, 4), (1, 4)]
+    # 2 tasks × 2 envs × 5 steps an epoch, 2 epochs of pretraining; 4 updates an epoch.
+    assert [(row["env_steps"], row["updates"]) for row in rows[::2]] == [(80, 8), (120, 16)]
+    assert set(rows[0]["returns"]) == {"vel-1", "vel-3"}
+    assert rows[0]["invalid_steps"] == 0
+
+
+def test_restoring_only_the_policy_reads_nothing_else(tiny, run_directory):
+    from ear_jax.trained import load
+
+    train_run(tiny, run_directory)
+    trained = load(run_directory)
+    assert trained.epoch == 4
+    assert jax.tree.leaves(trained.policies)[0].shape[0] == 1
+
+
+@pytest.mark.slow
+def test_fifty_short_runs_of_the_callback_engine_do_not_deadlock():
+    """Each in a process of its own, where threads start cold; a hang would run into the timeout."""
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); import test_train as t, jax;"
+        "jax.block_until_ready(t.state_after(t.tiny_config(), 2))"
+    )
+    for _ in range(50):
+        subprocess.run([sys.executable, "-c", code, str(Path(__file__).parent)], check=True, timeout=120)
+
+
+def test_many_runs_in_one_process_do_not_deadlock():
+    keys = seed_keys(tiny_config())
+    compiled = compile_program(make_program(tiny_config()), keys)
+    for _ in range(50):
+        jax.block_until_ready(compiled.chunk(compiled.begin(keys), jnp.int32(1)))
