@@ -79,6 +79,14 @@ class ReplayConfig:
 
 
 @dataclass(frozen=True)
+class EnvConfig:
+    lateral_weight: float | None = None
+    """Ant-Dir: weight of the lateral speed's penalty (the authors' code: 0, the paper's text: 1)."""
+    jump_height: Literal["hind_foot", "torso"] | None = None
+    """HalfCheetah-Run-Jump: whose height a jump is (the paper: the hind foot, the authors' code: the torso)."""
+
+
+@dataclass(frozen=True)
 class LogConfig:
     epochs: int = 10
     """Epochs in a block: one compiled call, then one evaluation and one row a seed."""
@@ -107,6 +115,7 @@ class Config:
     """Stop at the first block boundary past this much wall time in all."""
     tasks: tuple[str, ...] = ()
     """Training tasks, named as a person would (2 or vel-2); none: the paper's."""
+    env: EnvConfig = field(default_factory=EnvConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     sac: SacConfig = field(default_factory=SacConfig)
     collect: CollectConfig = field(default_factory=CollectConfig)
@@ -134,13 +143,24 @@ PRESETS: dict[str, dict[str, Any]] = {
     "fast": _FAST,
     "smoke": {
         **_FAST,
-        "epochs": 60,
-        "tasks": ("1", "2", "3"),
+        "epochs": 200,
         "network": {**_FAST["network"], "width": 128},
         "sac": {**_FAST["sac"], "batch_size": 240},
         "replay": {"share_experience": True, "capacity": 300_000},
-        "log": {"epochs": 5},
     },
+}
+
+# And what it changes for one family (the paper's table of hyperparameters).
+_PAPER_LEGGED = {"epochs": 5000}
+FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
+    ("paper", "hopper-vel"): _PAPER_LEGGED,
+    ("paper", "walker-vel"): _PAPER_LEGGED,
+    ("paper", "ant-dir"): {"epochs": 10_000, "sac": {"batch_size": 1920}, "replay": {"capacity": 1_200_000}},
+    ("smoke", "halfcheetah-vel"): {"tasks": ("1", "2", "3")},
+    ("smoke", "hopper-vel"): {"tasks": ("0.4", "1", "1.6")},
+    ("smoke", "walker-vel"): {"tasks": ("0.4", "1", "1.6")},
+    ("smoke", "ant-dir"): {"tasks": ("0", "90", "180", "270")},
+    ("smoke", "halfcheetah-run-jump"): {"tasks": ("back-1", "back-3", "jump-5")},
 }
 
 
@@ -148,7 +168,16 @@ def preset_config(family: str, preset: str) -> Config:
     """The configuration a preset stands for; raises UsageError where there is none."""
     if preset not in PRESETS:
         raise unknown("preset", preset, PRESETS)
-    return from_dict({"family": family, "preset": preset, **PRESETS[preset]})
+    changes = _merge(PRESETS[preset], FAMILY_PRESETS.get((preset, family), {}))
+    return from_dict({"family": family, "preset": preset, **changes})
+
+
+def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """Nested dictionaries, the second over the first."""
+    merged = dict(base)
+    for name, value in changes.items():
+        merged[name] = _merge(base.get(name, {}), value) if isinstance(value, dict) else value
+    return merged
 
 
 def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> Any:

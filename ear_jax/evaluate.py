@@ -26,7 +26,8 @@ class Episodes:
 
     returns: jax.Array
     lengths: jax.Array  # int32, steps until termination or the time limit
-    outcome: Outcome  # each the mean over the second half of the episode: of a whole one, steps 101–200
+    late: Outcome  # outcomes averaged over the second half of the episode: of a whole one, steps 101–200
+    whole: Outcome  # and over all of it
 
 
 def play(
@@ -56,11 +57,11 @@ def play(
     reward = jax.vmap(jax.vmap(jax.vmap(family.reward, in_axes=(0, None))), in_axes=(0, None))(outcome, tasks)
     late = playing & (jnp.arange(1, steps + 1)[:, None, None] > lengths // 2)
 
-    def late_mean(leaf: jax.Array) -> jax.Array:
-        return jnp.sum(jnp.where(late, leaf, 0.0), axis=0) / jnp.sum(late, axis=0)
+    def mean_over(when: jax.Array) -> Outcome:
+        return jax.tree.map(lambda leaf: jnp.sum(jnp.where(when, leaf, 0.0), axis=0) / jnp.sum(when, axis=0), outcome)
 
     returns = jnp.sum(jnp.where(playing, reward, 0.0), axis=0)
-    return Episodes(returns, lengths, jax.tree.map(late_mean, outcome))
+    return Episodes(returns, lengths, mean_over(late), mean_over(playing))
 
 
 def play_training_tasks(program: Program, policy: Params, key: jax.Array, episodes: int) -> Episodes:
@@ -109,20 +110,29 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
 
 
 def _describe_seed(program: Program, seed: int, played: Episodes) -> dict[str, Any]:
-    """One seed's episodes [tasks, episodes] as a document."""
-    tasks = [
-        {
-            "name": task.name,
-            "target": task.target,
-            "return_mean": float(played.returns[row].mean()),
-            "return_std": float(played.returns[row].std()),
-            "outcome": {name: float(value[row].mean()) for name, value in played.outcome.items()},
-            "episodes": {
-                "return": played.returns[row].tolist(),
-                "length": played.lengths[row].tolist(),
-                **{name: value[row].tolist() for name, value in played.outcome.items()},
-            },
-        }
-        for row, task in enumerate(program.tasks.tasks)
-    ]
+    """One seed's episodes [tasks, episodes] as a document.
+
+    What a task's episodes achieved together comes from their mean outcomes, so that 359° and 1° are 0° and not 180°.
+    """
+    family = program.family
+    tasks = []
+    for row, task in enumerate(program.tasks.tasks):
+        late, whole = ({name: value[row] for name, value in means.items()} for means in (played.late, played.whole))
+        mean_late, mean_whole = ({name: value.mean() for name, value in means.items()} for means in (late, whole))
+        mean_late[family.commanded] = family.achieved(mean_late, mean_whole)
+        tasks.append(
+            {
+                "name": task.name,
+                "target": task.target,
+                "return_mean": float(played.returns[row].mean()),
+                "return_std": float(played.returns[row].std()),
+                "outcome": {name: float(value) for name, value in mean_late.items()},
+                "episodes": {
+                    "return": played.returns[row].tolist(),
+                    "length": played.lengths[row].tolist(),
+                    **{name: value.tolist() for name, value in late.items()},
+                    family.commanded: np.asarray(family.achieved(late, whole)).tolist(),
+                },
+            }
+        )
     return {"seed": seed, "mean_return": float(played.returns.mean()), "tasks": tasks}

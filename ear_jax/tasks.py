@@ -18,7 +18,7 @@ class Task:
     """One task of a family: its name, the number a person commands, and the numbers its reward reads."""
 
     name: str
-    target: float
+    target: float | None  # None where nothing is commanded, only more is better
     params: dict[str, float]
 
 
@@ -36,7 +36,7 @@ class TaskSet:
         return [task.name for task in self.tasks]
 
     @property
-    def targets(self) -> list[float]:
+    def targets(self) -> list[float | None]:
         return [task.target for task in self.tasks]
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, replace
 
 import jax
@@ -59,7 +60,7 @@ def make_program(config: Config) -> Program:
       UsageError: a name or value that makes no sense.
       RunError: the engine cannot run here.
     """
-    family = make_family(config.family, config.engine)
+    family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
     tasks = task_set([family.parse_task(name) for name in config.tasks]) if config.tasks else family.training_tasks()
     check(config, len(tasks))
     sizes = (family.observation_size, family.action_size, len(tasks))

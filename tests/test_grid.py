@@ -133,4 +133,4 @@ def test_play_stops_at_termination():
     episodes = play(family, agent, None, jnp.zeros((2, 1)), family.training_tasks().params, jax.random.key(0), 3)
     np.testing.assert_allclose(episodes.returns, -0.25)
     np.testing.assert_array_equal(episodes.lengths, 1)
-    np.testing.assert_allclose(episodes.outcome["action"], 0.0)
+    np.testing.assert_allclose(episodes.late["action"], 0.0)

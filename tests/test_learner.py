@@ -55,7 +55,7 @@ def test_code_alone_tells_two_tasks_apart(program, begun):
     """Same observation, opposite targets: solved only through the LTEs. The temperature is learnt too."""
     state, _ = jax.jit(partial(train.train_chunk, program), compiler_options=compiler_options())(begun, jnp.int32(20))
     played = play_training_tasks(program, state.learner.policy, jax.random.key(2), 4)
-    np.testing.assert_allclose(played.outcome["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
+    np.testing.assert_allclose(played.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
 
 
 def test_lte_rows_have_unit_norm(program, begun):
@@ -91,7 +91,8 @@ def test_critics_are_independent(program, begun):
     _, other, _ = one_update(program, begun, critics=disturbed)
     for one, two in zip(jax.tree.leaves(plain.critics), jax.tree.leaves(other.critics), strict=True):
         np.testing.assert_array_equal(one[0], two[0])
-    assert any((one[1] != two[1]).any() for one, two in zip(*map(jax.tree.leaves, (plain.critics, other.critics))))
+    pairs = zip(jax.tree.leaves(plain.critics), jax.tree.leaves(other.critics), strict=True)
+    assert any((one[1] != two[1]).any() for one, two in pairs)
 
 
 def test_batches_are_balanced_and_sources_follow_the_setting(program):

@@ -47,14 +47,13 @@ def main(words: list[str]) -> None:
 
 
 def print_evaluation(evaluation: dict[str, Any]) -> None:
-    """A table of the tasks, over all seeds."""
+    """A table of the tasks, with a number a seed."""
     measured = evaluation["commanded"]
     table = Table(title=f"{evaluation['run']}: mean return {evaluation['mean_return']:.1f}", title_justify="left")
     for heading in ("task", f"{measured['outcome']} ({measured['unit']})", "return"):
         table.add_column(heading, justify="left" if heading == "task" else "right")
-    seeds = evaluation["seeds"]
-    for tasks in zip(*(seed["tasks"] for seed in seeds), strict=True):
-        achieved = sum(task["outcome"][measured["outcome"]] for task in tasks) / len(tasks)
-        mean = sum(task["return_mean"] for task in tasks) / len(tasks)
-        table.add_row(tasks[0]["name"], f"{achieved:.2f}", f"{mean:.1f}")
+    for tasks in zip(*(seed["tasks"] for seed in evaluation["seeds"]), strict=True):
+        achieved = " / ".join(f"{task['outcome'][measured['outcome']]:.2f}" for task in tasks)
+        returns = " / ".join(f"{task['return_mean']:.1f}" for task in tasks)
+        table.add_row(tasks[0]["name"], achieved, returns)
     Console(highlight=False).print(table)

@@ -10,8 +10,8 @@ import tyro
 
 from ear_jax.cli.arguments import parse
 from ear_jax.config import Config, preset_config
-from ear_jax.envs import FAMILIES
-from ear_jax.errors import UsageError, unknown
+from ear_jax.envs.registry import FAMILIES, find_family
+from ear_jax.errors import UsageError
 from ear_jax.run import default_directory, train_run
 from ear_jax.runtime import enable_cache
 
@@ -49,6 +49,5 @@ def _family(words: list[str]) -> tuple[str, list[str]]:
         return next(iter(FAMILIES)), words
     if not words or words[0].startswith("-"):
         raise UsageError(f"name a family first: ear train FAMILY (there are: {', '.join(sorted(FAMILIES))})")
-    if words[0] not in FAMILIES:
-        raise unknown("family", words[0], FAMILIES)
+    find_family(words[0])
     return words[0], words[1:]

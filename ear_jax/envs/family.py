@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import jax
@@ -32,12 +33,16 @@ class Family(Env):
     model_file: ClassVar[str]  # a model of Gymnasium's
     substeps: ClassVar[int]  # MuJoCo steps in one environment step
     mjx_solver: ClassVar[tuple[int, int]]  # solver and line-search iterations of MJX, measured
-    bodies: ClassVar[tuple[str, ...]] = ()  # bodies whose positions `outcome` reads
+    bodies: tuple[str, ...] = ()  # bodies whose positions `outcome` reads
     commanded: ClassVar[str]  # the outcome that a task's target commands
     unit: ClassVar[str]  # of the target and of that outcome
     episode_length: ClassVar[int] = 200  # steps; a time limit, which is no termination
 
-    def __init__(self, engine: str = "auto", task: Task | None = None):
+    options: ClassVar[tuple[str, ...]] = ()  # attributes that may be set when it is made
+
+    def __init__(self, engine: str = "auto", task: Task | None = None, **options: Any):
+        for option, value in options.items():
+            setattr(self, option, value)
         self.model = self.load()
         self.engine = make_engine(engine, self.model, self.substeps, self.bodies, self.mjx_solver)
         self.task = task or self.training_tasks().tasks[0]
@@ -52,6 +57,14 @@ class Family(Env):
     @abc.abstractmethod
     def training_tasks(self) -> TaskSet:
         """The paper's training tasks, in the order of their one-hot codes."""
+
+    def adaptation_tasks(self, seed: int) -> TaskSet:
+        """Tasks not trained on, drawn from a seed; none by default."""
+        return TaskSet(())
+
+    def interpolation_tasks(self) -> TaskSet:
+        """What lies midway between neighbouring training tasks, in their order; none by default."""
+        return TaskSet(())
 
     @abc.abstractmethod
     def parse_task(self, text: str) -> Task:
@@ -77,7 +90,18 @@ class Family(Env):
         """Whether the robot has failed; a scalar bool. By default it cannot."""
         return jnp.zeros((), bool)
 
+    def achieved(self, late: Outcome, whole: Outcome) -> jax.Array:
+        """The commanded quantity, from an episode's outcomes averaged over its second half, and over all of it."""
+        return late[self.commanded]
+
     # What follows from it.
+
+    def noisy_start(self, key: jax.Array, position: float, speed: Callable[..., jax.Array]) -> Physics:
+        """The model's own pose, each coordinate moved by U(±position), with speeds drawn by `speed(key, shape)`."""
+        key_qpos, key_qvel = jax.random.split(key)
+        qpos = jax.random.uniform(key_qpos, (self.model.nq,), minval=-position, maxval=position)
+        qpos0 = jnp.asarray(self.model.qpos0, jnp.float32)
+        return Physics(qpos0 + qpos, speed(key_qvel, (self.model.nv,)), jnp.zeros(self.model.nv))
 
     def start(self, key: jax.Array, task: TaskParams) -> State:
         """A random start of one task."""

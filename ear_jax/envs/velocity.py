@@ -1,47 +1,81 @@
-"""Tasks that command a forward speed, shared by the families that do."""
+"""Families whose tasks command a forward speed."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from ear_jax.envs.family import Family, Outcome
 from ear_jax.errors import UsageError
-from ear_jax.physics import Motion
-from ear_jax.tasks import Task, TaskSet, task_set
+from ear_jax.physics import Motion, Physics
+from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
+
+
+class VelocityFamily(Family):
+    """Reward `alive_bonus` − |v − v*| − `control_cost` Σa² a step, v in m/s along x (paper, appendix B.1)."""
+
+    commanded, unit = "velocity", "m/s"
+    speeds: ClassVar[tuple[float, ...]]  # v* of the training tasks, ascending and evenly spaced
+    adaptation_range: ClassVar[tuple[float, float]]  # where unseen speeds are drawn from
+    alive_bonus: ClassVar[float] = 0.0
+    control_cost: ClassVar[float]
+
+    def training_tasks(self) -> TaskSet:
+        return task_set([velocity_task(speed) for speed in self.speeds])
+
+    def adaptation_tasks(self, seed: int) -> TaskSet:
+        speeds = np.random.default_rng(seed).uniform(*self.adaptation_range, size=3)
+        return task_set([velocity_task(round(float(speed), 2)) for speed in speeds])
+
+    def interpolation_tasks(self) -> TaskSet:
+        pairs = zip(self.speeds[:-1], self.speeds[1:], strict=True)
+        return task_set([velocity_task((low + high) / 2) for low, high in pairs])
+
+    def parse_task(self, text: str) -> Task:
+        """A task from `2`, `2.5`, `vel-2.5` or `2.5m/s`."""
+        try:
+            speed = float(text.strip().lower().removeprefix("vel-").removesuffix("m/s").strip())
+        except ValueError:
+            speed = math.nan
+        if not math.isfinite(speed):
+            raise UsageError(f"no task {text!r}; name a speed in metres per second, as in 2.5 or vel-2.5")
+        return velocity_task(speed)
+
+    def outcome(self, motion: Motion) -> Outcome:
+        return {"velocity": forward_velocity(motion, self.dt), "squared_action": jnp.sum(motion.action**2)}
+
+    def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
+        tracking = jnp.abs(outcome["velocity"] - task["velocity"])
+        return self.alive_bonus - tracking - self.control_cost * outcome["squared_action"]
+
+
+class LeggedVelocityFamily(VelocityFamily):
+    """What Hopper-Vel and Walker-Vel share: starts near the upright pose, and speeds clipped in what is seen."""
+
+    substeps = 4
+    speeds = tuple(round(0.2 * step, 1) for step in range(1, 11))
+    adaptation_range = (0.2, 2.0)
+    control_cost = 0.001
+
+    def initial(self, key: jax.Array) -> Physics:
+        return self.noisy_start(
+            key, 0.005, lambda key, shape: jax.random.uniform(key, shape, minval=-0.005, maxval=0.005)
+        )
+
+    def observe(self, physics: Physics) -> jax.Array:
+        return jnp.concatenate([physics.qpos[1:], jnp.clip(physics.qvel, -10, 10)])
 
 
 def velocity_task(speed: float) -> Task:
     """Run at `speed` metres per second; 2 m/s is called vel-2."""
-    return Task(name=f"vel-{speed:g}", target=speed, params={"velocity": speed})
-
-
-def velocity_tasks(speeds: Iterable[float]) -> TaskSet:
-    return task_set([velocity_task(speed) for speed in speeds])
-
-
-def parse_velocity_task(text: str) -> Task:
-    """A task from `2`, `2.5`, `vel-2.5` or `2.5m/s`.
-
-    Raises:
-      UsageError: it is none of these.
-    """
-    try:
-        speed = float(text.strip().lower().removeprefix("vel-").removesuffix("m/s").strip())
-    except ValueError:
-        speed = math.nan
-    if not math.isfinite(speed):
-        raise UsageError(f"no task {text!r}; name a speed in metres per second, as in 2.5 or vel-2.5")
-    return velocity_task(speed)
+    speed = round(speed, 6)
+    return Task(name=f"vel-{speed:g}", target=float(speed), params={"velocity": speed})
 
 
 def forward_velocity(motion: Motion, dt: float) -> jax.Array:
     """Mean forward speed over the step, m/s, from how far the root moved."""
     return (motion.after.qpos[0] - motion.before.qpos[0]) / dt
-
-
-def squared_action(motion: Motion) -> jax.Array:
-    """Σ a², what control costs are a multiple of."""
-    return jnp.sum(motion.action**2)

@@ -63,7 +63,8 @@ def commanded_against_achieved(axes: Axes, evaluation: dict[str, Any]) -> None:
     """Every evaluation episode a point, on the line where it did what it was told."""
     name, unit = evaluation["commanded"]["outcome"], evaluation["commanded"]["unit"]
     for index, seed in enumerate(evaluation["seeds"]):
-        points = [(task["target"], value) for task in seed["tasks"] for value in task["episodes"][name]]
+        tasks = [task for task in seed["tasks"] if task["target"] is not None]
+        points = [(task["target"], value) for task in tasks for value in task["episodes"][name]]
         commanded, achieved = zip(*points, strict=True)
         colour = COLOURS[index % len(COLOURS)]
         axes.scatter(commanded, achieved, color=colour, s=18, alpha=0.7, label=f"seed {seed['seed']}", zorder=3)

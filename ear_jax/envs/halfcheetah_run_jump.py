@@ -1,0 +1,69 @@
+"""HalfCheetah-Run-Jump: the cheetah runs backward at a commanded speed, or raises its hind leg."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from ear_jax.envs.family import Outcome
+from ear_jax.envs.halfcheetah_vel import HalfCheetah
+from ear_jax.envs.velocity import forward_velocity
+from ear_jax.errors import unknown
+from ear_jax.physics import Motion
+from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
+
+HIND_FOOT = "bfoot"
+SPEEDS = range(1, 8)  # m/s, backward
+WEIGHTS = (1, 5, 10)  # of the height
+
+
+class HalfCheetahRunJump(HalfCheetah):
+    """Reward −w_run |v − v*| + w_jump h − 0.1 Σa² a step: weights over shared terms, so a task is never a branch.
+
+    h is the height of the hind foot in metres (paper). The released code has the height of the torso, above where it
+    stands at rest: `jump_height="torso"`.
+    """
+
+    name = "halfcheetah-run-jump"
+    commanded, unit = "velocity", "m/s"
+    options = ("jump_height",)
+    jump_height = "hind_foot"
+
+    def load(self) -> mujoco.MjModel:
+        if self.jump_height not in ("hind_foot", "torso"):
+            raise unknown("jump_height", self.jump_height, ("hind_foot", "torso"))
+        self.bodies = (HIND_FOOT,) if self.jump_height == "hind_foot" else ()
+        return super().load()
+
+    def training_tasks(self) -> TaskSet:
+        return task_set([_back(speed) for speed in SPEEDS] + [_jump(weight) for weight in WEIGHTS])
+
+    def parse_task(self, text: str) -> Task:
+        """One of `back-1` … `back-7`, `jump-1`, `jump-5`, `jump-10`, or a nickname of one: walk, run, stand, jump."""
+        nicknames = {"walk": "back-1", "run": "back-7", "stand": "jump-1", "jump": "jump-10"}
+        tasks = {task.name: task for task in self.training_tasks().tasks}
+        name = nicknames.get(text.strip().lower(), text.strip().lower())
+        if name not in tasks:
+            raise unknown("task", text, (*tasks, *nicknames))
+        return tasks[name]
+
+    def outcome(self, motion: Motion) -> Outcome:
+        height = motion.positions[0, 2] if self.bodies else motion.after.qpos[1]
+        return {
+            "velocity": forward_velocity(motion, self.dt),
+            "height": height,
+            "squared_action": jnp.sum(motion.action**2),
+        }
+
+    def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
+        running = task["run"] * jnp.abs(outcome["velocity"] - task["velocity"])
+        return task["jump"] * outcome["height"] - running - 0.1 * outcome["squared_action"]
+
+
+def _back(speed: float) -> Task:
+    return Task(f"back-{speed:g}", target=-float(speed), params={"run": 1.0, "velocity": -float(speed), "jump": 0.0})
+
+
+def _jump(weight: float) -> Task:
+    return Task(f"jump-{weight:g}", target=None, params={"run": 0.0, "velocity": 0.0, "jump": float(weight)})

@@ -1,0 +1,25 @@
+"""Hopper-Vel: a one-legged hopper moves forward at a commanded speed and must not fall."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.envs.velocity import LeggedVelocityFamily
+from ear_jax.physics import Physics
+
+
+class HopperVel(LeggedVelocityFamily):
+    """Reward 1.05 − |v − v*| − 0.001 Σa² a step, v* = 0.2 … 2.0 m/s; fails as Gym's Hopper-v2 does."""
+
+    name = "hopper-vel"
+    model_file = "hopper.xml"
+    mjx_solver = (4, 8)
+    alive_bonus = 1.05
+
+    def terminated(self, physics: Physics) -> jax.Array:
+        """Lower than 0.7 m, tilted by 0.2 rad, or any other coordinate or speed past 100."""
+        height, angle = physics.qpos[1], physics.qpos[2]
+        rest = jnp.concatenate([physics.qpos[2:], physics.qvel])
+        healthy = (height > 0.7) & (jnp.abs(angle) < 0.2) & jnp.all(jnp.abs(rest) < 100)
+        return ~healthy  # what is not finite is not healthy: it compares as false

@@ -1,0 +1,23 @@
+"""Walker-Vel: a planar two-legged walker moves forward at a commanded speed and must not fall."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.envs.velocity import LeggedVelocityFamily
+from ear_jax.physics import Physics
+
+
+class WalkerVel(LeggedVelocityFamily):
+    """Reward 1 − |v − v*| − 0.001 Σa² a step, v* = 0.2 … 2.0 m/s; fails as Gym's Walker2d-v2 does."""
+
+    name = "walker-vel"
+    model_file = "walker2d.xml"
+    mjx_solver = (4, 8)
+    alive_bonus = 1.0
+
+    def terminated(self, physics: Physics) -> jax.Array:
+        """Outside 0.8 to 2 m of height, or tilted by 1 rad."""
+        height, angle = physics.qpos[1], physics.qpos[2]
+        return ~((height > 0.8) & (height < 2.0) & (jnp.abs(angle) < 1.0))
