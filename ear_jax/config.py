@@ -104,7 +104,7 @@ class Config:
     preset: str = "fast"
     agent: str = "ear"
     engine: str = "auto"
-    """Physics engine: auto, native (CPU) or mjx."""
+    """Physics engine: auto, native (CPU), mjx, or warp (an extra; NVIDIA's kernels)."""
     seed: int = 0
     """The first seed."""
     seeds: int = 1

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ear_jax import records
 from ear_jax.cli.arguments import parse
-from ear_jax.cli.evaluate import print_evaluation
+from ear_jax.cli.evaluate import keep_evaluation, print_evaluation
 from ear_jax.config import preset_config
 from ear_jax.evaluate import evaluate
-from ear_jax.report.figures import draw_run
 from ear_jax.run import train_run
 from ear_jax.runtime import enable_cache
 from ear_jax.terminal import say
@@ -39,8 +37,7 @@ def main(words: list[str]) -> None:
     enable_cache()
     train_run(preset_config(FAMILY, "smoke"), command.out)
     evaluation = evaluate(load(command.out), EPISODES, SEED)
-    records.write_json(command.out / "evaluation.json", {**evaluation, **records.provenance()})
-    pictures = draw_run(command.out, records.read_rows(command.out / "metrics.jsonl"), evaluation)
+    pictures = keep_evaluation(command.out, evaluation)
     tasks = [task for seed in evaluation["seeds"] for task in seed["tasks"]]
     error = float(np.mean([abs(speed - task["target"]) for task in tasks for speed in task["episodes"]["velocity"]]))
     if command.json:

@@ -15,6 +15,7 @@ from ear_jax import records
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import UsageError
 from ear_jax.evaluate import evaluate
+from ear_jax.report.figures import draw_run
 from ear_jax.runtime import enable_cache
 from ear_jax.trained import load
 
@@ -39,11 +40,17 @@ def main(words: list[str]) -> None:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
     enable_cache()
     evaluation = evaluate(load(command.run), command.episodes, command.seed)
-    records.write_json(command.run / "evaluation.json", {**evaluation, **records.provenance()})
+    keep_evaluation(command.run, evaluation)
     if command.json:
         print(json.dumps(evaluation))
     else:
         print_evaluation(evaluation)
+
+
+def keep_evaluation(run: Path, evaluation: dict[str, Any]) -> list[Path]:
+    """Writes an evaluation into its run's directory and draws the run's figures anew; returns their paths."""
+    records.write_json(run / "evaluation.json", {**evaluation, **records.provenance()})
+    return draw_run(run, records.read_rows(run / "metrics.jsonl"), evaluation)
 
 
 def print_evaluation(evaluation: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from ear_jax.errors import RunError, UsageError, unknown
 COMMANDS = {
     "train": ("ear_jax.cli.train", "train a policy on a family of tasks, or continue a run"),
     "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks"),
+    "families": ("ear_jax.cli.families", "list the families of tasks"),
     "demo": ("ear_jax.cli.demo", "train a small agent here and now and see it run at commanded speeds"),
     "doctor": ("ear_jax.cli.doctor", "say what this installation is and whether it can work"),
 }

@@ -10,7 +10,7 @@ from flax import struct
 
 from ear_jax.errors import RunError, unknown
 
-ENGINES = ("native", "mjx")
+ENGINES = ("native", "mjx", "warp")
 
 
 @struct.dataclass
@@ -75,10 +75,11 @@ def make_engine(
         always pays for the slowest simulation).
     """
     body_ids = [model.body(body).id for body in bodies]
-    if choose_engine(name) == "native":
+    name = choose_engine(name)
+    if name == "native":
         from ear_jax.physics.native import NativeEngine
 
         return NativeEngine(model, substeps, body_ids)
     from ear_jax.physics.mjx import MjxEngine
 
-    return MjxEngine(model, substeps, body_ids, mjx_solver)
+    return MjxEngine(model, substeps, body_ids, mjx_solver, name)

@@ -1,29 +1,35 @@
-"""MuJoCo XLA (JAX implementation): the whole step on the device."""
+"""MuJoCo XLA: the whole step on the device, by its JAX implementation or by NVIDIA Warp's kernels."""
 
 from __future__ import annotations
 
 import copy
+import importlib.util
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 
+from ear_jax.errors import RunError
 from ear_jax.physics.engine import Motion, Physics
 from ear_jax.quiet import mjx
 
+# Warp allocates contacts for all simulations of a batch at once and constraints for each; our robots touch the ground
+# with at most 8 and 128 of these.
+WARP_CONTACTS = 8 * 65_536
+WARP_CONSTRAINTS = 128
+
 
 class MjxEngine:
-    """Steps with `mujoco.mjx`, differentiable and free of the host."""
+    """Steps with `mujoco.mjx`, without the host."""
 
-    name = "mjx"
-
-    def __init__(self, model: mujoco.MjModel, substeps: int, body_ids: list[int], solver: tuple[int, int]):
+    def __init__(self, model: mujoco.MjModel, substeps: int, body_ids: list[int], solver: tuple[int, int], name: str):
         model = copy.copy(model)
         model.opt.iterations, model.opt.ls_iterations = solver
-        self._model = mjx.put_model(model, impl="jax")
-        self._blank = mjx.make_data(model, impl="jax")
+        self.name = name
         self._substeps = substeps
         self._body_ids = jnp.asarray(body_ids, jnp.int32)
+        self._model, self._blank = _warp(model) if name == "warp" else _jax(model)
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
         data = self._blank.replace(qpos=physics.qpos, qvel=physics.qvel, qacc_warmstart=physics.warmstart, ctrl=action)
@@ -32,3 +38,17 @@ class MjxEngine:
         if self._body_ids.size:
             positions = mjx.kinematics(self._model, data).xpos[self._body_ids]
         return Motion(physics, action, Physics(data.qpos, data.qvel, data.qacc_warmstart), positions)
+
+
+def _jax(model: mujoco.MjModel) -> tuple[Any, Any]:
+    return mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
+
+
+def _warp(model: mujoco.MjModel) -> tuple[Any, Any]:
+    if importlib.util.find_spec("warp") is None:
+        raise RunError("engine 'warp' needs NVIDIA's warp-lang, which is not installed: pip install 'ear-jax[warp]'")
+    import warp
+
+    warp.config.quiet = True  # it would print every kernel it compiles on stdout
+    data = mjx.make_data(model, impl="warp", naconmax=WARP_CONTACTS, njmax=WARP_CONSTRAINTS)
+    return mjx.put_model(model, impl="warp"), data

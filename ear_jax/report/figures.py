@@ -55,7 +55,7 @@ def learning_curve(axes: Axes, rows: list[dict[str, Any]]) -> None:
         axes.plot(minutes, [row["mean_return"] for row in mine], color=colour, marker=".", label=f"seed {seed}")
     last = rows[-1]
     steps = f"{last['env_steps']:,} env steps and {last['updates']:,} updates a seed"
-    axes.set(xlabel="wall time (min)", ylabel="return, mean over tasks", title=steps)
+    axes.set(xlim=(0, None), xlabel="wall time (min)", ylabel="return, mean over tasks", title=steps)
     axes.legend(frameon=False)
 
 

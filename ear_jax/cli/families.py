@@ -1,0 +1,57 @@
+"""`ear families`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from ear_jax.cli.arguments import parse
+from ear_jax.envs import FAMILIES, make_family
+from ear_jax.physics import ENGINES
+
+
+@dataclass(frozen=True)
+class FamiliesCommand:
+    """List the families of tasks."""
+
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(FamiliesCommand, words, "families")
+    found = [describe(name) for name in FAMILIES]
+    if command.json:
+        print(json.dumps({"families": found}))
+        return
+    table = Table()
+    for heading in ("family", "tasks", "obs", "action", "step (s)", "episode", "engines"):
+        table.add_column(heading, overflow="fold")
+    for family in found:
+        names = family["tasks"]
+        tasks = f"{len(names)}: {names[0]} … {names[-1]}"
+        sizes = (str(family[key]) for key in ("observation_size", "action_size", "dt", "episode_length"))
+        table.add_row(family["name"], tasks, *sizes, ", ".join(family["engines"]))
+    Console(highlight=False).print(table)
+    print("A family of your own: ear train path/to/file.py:ClassName (docs/your-own-family.md)")
+
+
+def describe(name: str) -> dict[str, Any]:
+    """A family's sizes, in environment steps and seconds."""
+    family = make_family(name)
+    return {
+        "name": name,
+        "summary": (type(family).__doc__ or "").strip().splitlines()[0],
+        "tasks": family.training_tasks().names,
+        "commanded": family.commanded,
+        "unit": family.unit,
+        "observation_size": family.observation_size,
+        "action_size": family.action_size,
+        "dt": round(family.dt, 6),
+        "episode_length": family.episode_length,
+        "engines": list(ENGINES),
+    }
