@@ -26,7 +26,8 @@ class Agent:
     init_policy: Callable[[jax.Array], Params]
     init_critic: Callable[[jax.Array], Params]
     codes: Callable[[Params], jax.Array]  # policy parameters → table [tasks, code]
-    perturb: Callable[[jax.Array, jax.Array], jax.Array]  # code, standard normal noise [code] → code
+    project: Callable[[jax.Array], jax.Array]  # any vector [code] → the code nearest to it, as the unit sphere's
+    code_noise: float  # σ of the noise on a code in the actor's objectives, before it is projected again
     distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
     value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # one critic's parameters, obs, action, task
 
@@ -78,7 +79,8 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
         init_policy=init_policy,
         init_critic=critic.init,
         codes=codes,
-        perturb=lambda code, noise: on_lte_sphere(code + lte_noise * noise),
+        project=on_lte_sphere,
+        code_noise=lte_noise,
         distribution=distribution,
         value=value,
     )

@@ -31,34 +31,46 @@ class Episodes:
 
 
 def play(
-    family: Family, agent: Agent, policy: Params, codes: jax.Array, tasks: TaskParams, key: jax.Array, episodes: int
+    family: Family,
+    agent: Agent,
+    policy: Params,
+    codes: jax.Array,
+    tasks: TaskParams,
+    key: jax.Array,
+    episodes: int,
+    explore: bool = False,
 ) -> Episodes:
-    """Plays episodes of tanh(mean) actions, each row under its own code and scored for its own task.
+    """Plays whole episodes, each row under its own code and scored for its own task.
 
     Args:
       family: the environment.
       agent, policy: who acts.
       codes: [rows, code].
       tasks: each leaf [rows].
-      key: seeds the starts.
+      key: seeds the starts, and the actions if they are drawn.
       episodes: how many a row.
+      explore: draw actions from the policy instead of taking tanh of its mean.
     """
     rows, steps = codes.shape[0], family.episode_length
-    cells = Grid(family).start(key, tasks, episodes)
-    noise = jnp.zeros((steps, rows, episodes, family.action_size))
+    key_start, key_noise = jax.random.split(key)
+    cells = Grid(family).start(key_start, tasks, episodes)
+    shape = (steps, rows, episodes, family.action_size)
+    noise = jax.random.normal(key_noise, shape) if explore else jnp.zeros(shape)
 
-    def record(transition: Transition) -> tuple[Outcome, jax.Array]:
-        return transition.outcome, transition.terminated | ~transition.valid
+    def record(transition: Transition) -> tuple[Outcome, jax.Array, jax.Array]:
+        return transition.outcome, transition.terminated, transition.valid
 
-    _, (outcome, failed) = rollout(Grid(family), act_with(agent, policy, codes), cells, noise, record)
-    failed_before = jnp.cumsum(failed, axis=0) - failed
-    playing = failed_before == 0  # [steps, rows, episodes]: the first episode only
+    _, (outcome, failed, valid) = rollout(Grid(family), act_with(agent, policy, codes), cells, noise, record)
+    over = failed | ~valid
+    over_before = jnp.cumsum(over, axis=0) - over
+    playing = (over_before == 0) & valid  # [steps, rows, episodes]: the first episode only
     lengths = jnp.sum(playing, axis=0)
     reward = jax.vmap(jax.vmap(jax.vmap(family.reward, in_axes=(0, None))), in_axes=(0, None))(outcome, tasks)
     late = playing & (jnp.arange(1, steps + 1)[:, None, None] > lengths // 2)
 
     def mean_over(when: jax.Array) -> Outcome:
-        return jax.tree.map(lambda leaf: jnp.sum(jnp.where(when, leaf, 0.0), axis=0) / jnp.sum(when, axis=0), outcome)
+        count = jnp.maximum(jnp.sum(when, axis=0), 1)
+        return jax.tree.map(lambda leaf: jnp.sum(jnp.where(when, leaf, 0.0), axis=0) / count, outcome)
 
     returns = jnp.sum(jnp.where(playing, reward, 0.0), axis=0)
     return Episodes(returns, lengths, mean_over(late), mean_over(playing))

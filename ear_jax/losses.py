@@ -41,7 +41,8 @@ def sample_policy(
     table = agent.codes(policy)
 
     def one(obs, task, noise):
-        return sample(agent.distribution(policy, agent.perturb(table[task], noise.code), obs), noise.action)
+        code = agent.project(table[task] + agent.code_noise * noise.code)
+        return sample(agent.distribution(policy, code, obs), noise.action)
 
     return jax.vmap(one)(obs, task, noise)
 

@@ -62,7 +62,7 @@ def test_lte_rows_have_unit_norm(program, begun):
     codes = program.agent.codes(begun.learner.policy)
     assert codes.shape == (2, 3)
     np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, rtol=1e-5)
-    moved = program.agent.perturb(codes[0], jnp.ones(3))
+    moved = program.agent.project(codes[0] + program.agent.code_noise * jnp.ones(3))
     assert np.linalg.norm(moved) == pytest.approx(1, rel=1e-5)
     assert 0 < np.linalg.norm(moved - codes[0]) < 0.1
 

@@ -12,6 +12,8 @@ from ear_jax.errors import RunError, UsageError, unknown
 COMMANDS = {
     "train": ("ear_jax.cli.train", "train a policy on a family of tasks, or continue a run"),
     "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks"),
+    "interpolate": ("ear_jax.cli.interpolate", "do what lies between two trained tasks, or beyond them"),
+    "adapt": ("ear_jax.cli.adapt", "find the codes of tasks never trained on"),
     "families": ("ear_jax.cli.families", "list the families of tasks"),
     "demo": ("ear_jax.cli.demo", "train a small agent here and now and see it run at commanded speeds"),
     "doctor": ("ear_jax.cli.doctor", "say what this installation is and whether it can work"),
@@ -19,7 +21,7 @@ COMMANDS = {
 
 
 def usage() -> str:
-    lines = [f"  {name:<10} {what}" for name, (_, what) in COMMANDS.items()]
+    lines = [f"  {name:<11} {what}" for name, (_, what) in COMMANDS.items()]
     return (
         "usage: ear COMMAND [OPTIONS]\n\ncommands:\n" + "\n".join(lines) + "\n\n`ear COMMAND --help` tells its options."
     )
@@ -44,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"ear: {error}", file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
     except KeyboardInterrupt:
+        print("ear: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read us has left

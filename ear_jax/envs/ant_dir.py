@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -80,6 +81,10 @@ class AntDir(Family):
     def achieved(self, late: Outcome, whole: Outcome) -> jax.Array:
         """The angle of where the episode ended, seen from where it began; degrees in [0, 360)."""
         return jnp.degrees(jnp.arctan2(whole["velocity_y"], whole["velocity_x"])) % 360
+
+    def difference(self, one: Any, other: Any) -> Any:
+        """The shorter way round, in [−180, 180)."""
+        return (one - other + 180) % 360 - 180
 
 
 def direction_task(angle: float) -> Task:

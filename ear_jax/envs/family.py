@@ -94,6 +94,10 @@ class Family(Env):
         """The commanded quantity, from an episode's outcomes averaged over its second half, and over all of it."""
         return late[self.commanded]
 
+    def difference(self, one: Any, other: Any) -> Any:
+        """`one` − `other` in the commanded quantity, which may wrap."""
+        return one - other
+
     # What follows from it.
 
     def noisy_start(self, key: jax.Array, position: float, speed: Callable[..., jax.Array]) -> Physics:
