@@ -1,0 +1,135 @@
+"""The code table as an interface, on an agent that does just what its code says: its action is the first number."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from probe import Bandit
+
+from ear_jax import cem
+from ear_jax.adapt import Search, adapt
+from ear_jax.agents import Agent
+from ear_jax.codes import blend, fibonacci_sphere, slerp
+from ear_jax.config import Config
+from ear_jax.envs.ant_dir import AntDir, direction_task
+from ear_jax.interpolate import BETAS, adjacent_pairs, interpolate, play_blends
+from ear_jax.networks import unit
+from ear_jax.policy import Gaussian
+from ear_jax.tasks import task_set
+from ear_jax.train import Program
+from ear_jax.trained import Trained
+
+# Codes of the two tasks on a great circle: the action goes from −0.5 to 0.5 as the circle is followed.
+CODES = jnp.array([[-0.5, np.sqrt(0.75), 0.0], [0.5, np.sqrt(0.75), 0.0]])
+
+
+def obedient(codes: jax.Array) -> Agent:
+    def distribution(policy, code, obs):
+        return Gaussian(jnp.arctanh(jnp.clip(code[:1], -0.999, 0.999)), jnp.full(1, -9.0))
+
+    def nothing(*_):
+        return None
+
+    return Agent(3, nothing, nothing, lambda policy: codes, unit, 0.0, distribution, nothing)
+
+
+@pytest.fixture(scope="module")
+def toy() -> Trained:
+    family = Bandit("native")
+    program = Program(Config("bandit"), family, family.training_tasks(), obedient(CODES), None)  # type: ignore[arg-type]
+    return Trained("toy", program, jnp.zeros((1, 1)), 0)
+
+
+def test_blend_and_slerp_agree_at_the_ends_and_stay_on_the_sphere():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        first, second = (unit(jnp.array(vector)) for vector in rng.normal(size=(2, 3)))
+        for beta, end in ((1.0, first), (0.0, second)):
+            np.testing.assert_allclose(blend(first, second, beta, unit), end, atol=1e-6)
+            np.testing.assert_allclose(slerp(first, second, beta), end, atol=1e-6)
+        np.testing.assert_allclose(blend(first, second, 0.5, unit), slerp(first, second, 0.5), atol=1e-5)
+        for beta in (-0.8, 0.3, 1.8):
+            assert np.linalg.norm(slerp(first, second, beta)) == pytest.approx(1, abs=1e-5)
+            assert np.linalg.norm(blend(first, second, beta, unit)) == pytest.approx(1, abs=1e-5)
+
+
+def test_slerp_of_a_code_with_itself_is_that_code():
+    code = unit(jnp.array([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(slerp(code, code, 0.3), code, atol=1e-6)
+
+
+def test_slerp_moves_at_constant_angle():
+    angles = [
+        np.degrees(np.arccos(np.dot(slerp(jnp.eye(3)[0], jnp.eye(3)[1], beta), np.eye(3)[1])))
+        for beta in (0.25, 0.5, 0.75)
+    ]
+    np.testing.assert_allclose(angles, [22.5, 45, 67.5], atol=1e-3)
+
+
+def test_sphere_is_covered_evenly():
+    points = fibonacci_sphere(500)
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 1, rtol=1e-5)
+    np.testing.assert_allclose(points.mean(0), 0, atol=1e-2)
+    distance = np.arccos(np.clip(points @ points.T, -1, 1)) + 9 * np.eye(500)
+    assert distance.min() > 0.06, "radians; 500 even points are about 0.15 apart"
+
+
+def test_beta_search_finds_the_closed_form(toy):
+    """The blend's first number is b/√(b² + 3), b = 1 − 2β: 0.2 asks for b = 0.2 √3 / √0.96."""
+    found = interpolate(toy, [(0, 1)], target=0.2, episodes=1, seed=0)["pairs"][0]
+    exact = (1 - 0.2 * np.sqrt(3) / np.sqrt(0.96)) / 2
+    assert found["beta"] == pytest.approx(exact, abs=0.006)
+    assert found["outcome"] == pytest.approx(0.2, abs=0.005)
+    assert found["one_to_one_outcome"] == pytest.approx(0, abs=1e-5)
+    assert found["one_to_one"]
+    assert found["mid_task"]
+
+
+def test_extrapolation_follows_the_formula(toy):
+    betas = (1.8, 1.0, 0.25, 0.0, -0.8)
+    b = 1 - 2 * np.array(betas)
+    achieved = play_blends(toy, [(0, 1)], betas, episodes=1, seed=0)
+    np.testing.assert_allclose(achieved[0, 0], b / np.sqrt(b**2 + 3), atol=1e-4)
+
+
+def test_a_pair_without_a_way_between_fails_both_measures(toy):
+    stuck = Program(toy.program.config, toy.program.family, toy.program.tasks, obedient(CODES[:1].repeat(2, 0)), None)
+    found = interpolate(Trained("stuck", stuck, jnp.zeros((1, 1)), 0), [(0, 1)], None, 1, 0)
+    assert found["mid_task"] == {"success": 0, "total": 1}
+    assert found["one_to_one"] == {"success": 0, "total": 1}
+
+
+def test_neighbours_of_directions_wrap():
+    family = AntDir("native")
+    tasks = task_set([direction_task(angle) for angle in (0, 90, 180, 270)])
+    program = Program(Config("ant-dir"), family, tasks, None, None)  # type: ignore[arg-type]
+    assert adjacent_pairs(program) == [(0, 1), (1, 2), (2, 3), (3, 0)]
+    assert family.difference(350.0, 10.0) == -20
+    assert family.difference(10.0, 350.0) == 20
+
+
+def test_cem_finds_the_optimum(toy):
+    tasks = task_set([toy.program.family.parse_task(text) for text in ("0.3", "-0.9")])
+    document = adapt(toy, tasks, Search(epochs=8, sigma=0.3), episodes=1, seed=0)
+    for task, target in zip(document["tasks"], (0.3, -0.9), strict=True):
+        assert task["lte"][0] == pytest.approx(target, abs=0.02)
+        assert np.linalg.norm(task["lte"]) == pytest.approx(1, abs=1e-5)
+        assert task["epochs"][-1]["reevaluated"] == pytest.approx(0, abs=1e-3)
+        assert len(task["epochs"]) == 8
+    assert document["env_steps"] == 2 * 8 * 90 * toy.program.family.episode_length
+
+
+def test_cem_asks_the_elites_again_and_keeps_the_best():
+    state = cem.init(jax.random.key(0), 6, 3, unit)
+    candidates = cem.ask(state, jax.random.key(1), 14, 0.5, unit)
+    assert candidates.shape == (90, 3)
+    np.testing.assert_array_equal(candidates[:6], state.elites)
+    np.testing.assert_allclose(np.linalg.norm(candidates, axis=1), 1, rtol=1e-5)
+    returns = jnp.arange(90.0)
+    np.testing.assert_array_equal(cem.tell(state, candidates, returns).elites, candidates[:-7:-1])
+
+
+def test_betas_are_the_papers():
+    assert (BETAS[0], BETAS[49], BETAS[-1], len(BETAS)) == (0.01, 0.5, 0.99, 99)
