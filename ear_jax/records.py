@@ -1,7 +1,7 @@
 """Run directories and what stands in them: the source of every table and figure. Imports no JAX.
 
 A run directory holds `config.json` (settings, tasks, machine, versions, commit), `metrics.jsonl` (a row per seed and
-block), `evaluation.json` (the last evaluation), `checkpoints/` and `figures/`.
+block), `evaluation.json`, `interpolation.json` and `adaptation.json` (the last of each), `checkpoints/` and `figures/`.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from ear_jax import records
 from ear_jax.adapt import Search, adapt
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import UsageError
@@ -61,6 +62,7 @@ def main(words: list[str]) -> None:
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
     with phase(f"searching {len(tasks)} × {search.epochs} × {search.candidates} episodes"):
         document = adapt(trained, tasks, search, command.episodes, command.seed)
+    records.write_json(command.run / "adaptation.json", {**document, **records.provenance()})
     if command.json:
         print(json.dumps(document))
     else:
@@ -69,11 +71,11 @@ def main(words: list[str]) -> None:
 
 def _print(document: dict[str, Any]) -> None:
     table = Table(title=f"{document['env_steps']:,} env steps in {document['seconds']:.0f} s", title_justify="left")
-    for heading in ("task", "seed", "best of epoch 1", "of epoch 3", "of the last", "re-evaluated", "LTE"):
+    for heading in ("task", "seed", "best: 1st", "3rd", "last epoch", "judged again", "LTE"):
         table.add_column(heading)
     for task in document["tasks"]:
         epochs = task["epochs"]
         best = [f"{epochs[min(epoch, len(epochs) - 1)]['best_of_epoch']:.1f}" for epoch in (0, 2, len(epochs) - 1)]
-        code = " ".join(f"{number:.3f}" for number in task["lte"])
+        code = " ".join(f"{number:.2f}" for number in task["lte"])
         table.add_row(task["name"], str(task["seed"]), *best, f"{epochs[-1]['reevaluated']:.1f}", code)
     Console(highlight=False).print(table)

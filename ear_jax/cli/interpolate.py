@@ -11,12 +11,15 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from ear_jax import records
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import UsageError
 from ear_jax.interpolate import adjacent_pairs, interpolate, play_blends
 from ear_jax.runtime import enable_cache
 from ear_jax.terminal import phase
 from ear_jax.trained import Trained, load
+
+HEADINGS = {"mid_task": "mid", "one_to_one": "1:1", "one_to_one_outcome": "at β = ½"}
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ def main(words: list[str]) -> None:
         else:
             arguments = (command.target, command.episodes, command.seed, command.along)
             document = interpolate(trained, pairs, *arguments)
+    records.write_json(command.run / "interpolation.json", {**document, **records.provenance()})
     if command.json:
         print(json.dumps(document))
     else:
@@ -96,9 +100,9 @@ def _print(document: dict[str, Any], unit: str) -> None:
     rows = document.get("pairs") or document["blends"]
     columns = [key for key in rows[0] if key != "between"]
     for heading in ("between", *columns):
-        table.add_column(heading.replace("_", " "))
+        table.add_column(HEADINGS.get(heading, heading))
     for row in rows:
-        table.add_row(" and ".join(row["between"]), *(_show(row[key]) for key in columns))
+        table.add_row("–".join(row["between"]), *(_show(row[key]) for key in columns))
     console = Console(highlight=False)
     console.print(table)
     console.print(f"outcomes in {unit}")
