@@ -46,8 +46,11 @@ def main(words: list[str]) -> None:
     print_evaluation(evaluation)
     print(f"mean |achieved − commanded| speed over {EPISODES} fresh episodes per task: {error:.2f} m/s")
     print("pictures: " + ", ".join(str(path) for path in pictures))
-    say(f"""
-Next:
-  ear evaluate {command.out} --episodes 20     more episodes
-  ear train {FAMILY} --tasks 1 3 5      speeds of your own
-  ear train {FAMILY}                    all ten of the paper's""")
+    say("\nNext:")
+    for example, what in (
+        (f"ear interpolate {command.out} --between 1 2 --target 1.5", "a speed it was never trained on"),
+        (f"ear adapt {command.out} --target 2.5", "the same by search"),
+        (f"ear train {FAMILY} --tasks 1 3 5", "speeds of your own"),
+        (f"ear train {FAMILY}", "all ten of the paper's"),
+    ):
+        say(f"  {example:<60} {what}")
