@@ -182,31 +182,37 @@ def test_step_equals_the_tables(name, options):
         assert 0.05 < np.mean(margin < 0) < 0.95, "both kinds occur"
 
 
-MJX_TOLERANCES = {  # what may be the error of qpos and of qvel: median, 99th percentile, worst; as measured below
-    "halfcheetah-vel": ((1, 1, 1), (1, 1, 1)),
-    "ant-dir": ((1, 1, 1), (1, 1, 1)),
-    "hopper-vel": ((1, 1, 1), (1, 1, 1)),
-    "walker-vel": ((1, 1, 1), (1, 1, 1)),
-    "halfcheetah-run-jump": ((1, 1, 1), (1, 1, 1)),
+# What may be the error of qpos and of qvel: median, 99th percentile, worst. Measured over 2,000 states, solver limits
+# (4, 8), a fifth to a third of these; with (8, 16) and (20, 20) the same. The ant's tail is where it lies on its back:
+# MJX finds other contacts there than C MuJoCo, whatever the solver does.
+CHEETAH = ((5e-7, 1e-5, 3e-5), (2e-5, 1e-3, 3e-3))
+MJX_TOLERANCES = {  # errors of qpos and of qvel: median, 99th percentile, worst; about 4 times what was measured
+    "halfcheetah-vel": ((5e-7, 2e-5, 2e-4), (2e-5, 2e-3, 2e-2)),  # 1.2e-7, 5.4e-6, 3.8e-5; 4.9e-6, 4.5e-4, 4.9e-3
+    "ant-dir": ((5e-7, 5e-2, 8e-2), (6e-6, 5.0, 8.0)),  # 1.2e-7, 1.0e-2, 1.7e-2; 1.4e-6, 1.4, 1.7
+    "hopper-vel": ((3e-7, 1e-6, 3e-5), (2e-6, 4e-5, 6e-3)),  # 6.0e-8, 2.4e-7, 1.1e-6; 4.8e-7, 7.6e-6, 2.0e-4
+    "walker-vel": ((5e-7, 1e-5, 1e-3), (4e-5, 2e-3, 2e-1)),  # 1.2e-7, 4.8e-7, 2.3e-4; 7.6e-6, 8.4e-5, 3.3e-2
+    "halfcheetah-run-jump": ((5e-7, 2e-5, 2e-4), (2e-5, 2e-3, 2e-2)),
 }
 
 
 @pytest.mark.slow
 @every_family
 def test_mjx_step_equals_plain_mujoco_within_measured_tolerance(name):
-    """The worst coordinate of each of 200 states after one environment step."""
+    """The worst coordinate of each of 200 states after one environment step.
+
+    The ant's error is no rounding: where a leg stands within 30° of upright, MJX turns the friction pyramid of its
+    contact otherwise than C MuJoCo does (it falls back to the world's y axis once the axis projected on the floor is
+    shorter than 0.5, C MuJoCo does not). With that one line of MJX changed its worst error over 2,000 states falls
+    from 3e-2 to ANT in qpos, at enough iterations; the median never shows it.
+    """
     filename, substeps, _ = ROBOTS[name]
-    every = {key: field[::10] for key, field in vars(plain_steps(filename, substeps)).items()}
-    steps = SimpleNamespace(**every)
-    after, rewards, _ = step_all(make_family(name, "mjx"), steps)
-    physics = after.pipeline_state
+    steps = SimpleNamespace(**{key: field[:1400:7] for key, field in vars(plain_steps(filename, substeps)).items()})
+    physics = step_all(make_family(name, "mjx"), steps)[0].pipeline_state
     for kind, tolerances in zip(("qpos", "qvel"), MJX_TOLERANCES[name], strict=True):
-        error = np.abs(np.asarray(getattr(physics, kind), np.float64) - every[kind + "_after"]).max(axis=1)
+        error = np.abs(getattr(physics, kind) - getattr(steps, kind + "_after")).max(axis=1)
         measured = np.median(error), np.percentile(error, 99), error.max()
         print(f"{name} {kind}: " + ", ".join(f"{value:.1e}" for value in measured))
         assert (np.array(measured) < tolerances).all()
-    reward_error = np.abs(rewards - expected_rewards(name, {}, steps))
-    print(f"{name} reward: {np.median(reward_error):.1e}, {reward_error.max():.1e}")
 
 
 @pytest.mark.parametrize(

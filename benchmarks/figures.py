@@ -1,0 +1,160 @@
+"""Draws `results/benchmarks.png` from the JSON lines in `results/` alone; the last row of each setting counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator
+
+from benchmarks import common
+from ear_jax import records
+from ear_jax.report.figures import COLOURS, STYLE
+
+Row = dict[str, Any]
+ENGINES = ("raw", "native", "mjx", "gymnasium-async", "gymnasium-sync", "spring", "warp")
+COLOUR = dict(zip(ENGINES, (*COLOURS, "0.4"), strict=True))
+TARGET = 0.95  # of raw speed, for the native engine
+
+
+def latest(path: Path, keys: tuple[str, ...]) -> list[Row]:
+    """The last row of each setting, by the keys that name one; quick rows only where there are no others."""
+    rows = [row for row in records.read_rows(path) if "unavailable" not in row]
+    rows = [row for row in rows if not row["quick"]] or rows
+    return list({tuple(row.get(key) for key in keys): row for row in rows}.values())
+
+
+def bars(axes: Axes, groups: list[str], series: list[tuple[str, str, list[Row | None]]], figure: str) -> None:
+    """Grouped bars of medians, each with the range of its runs.
+
+    Args:
+      axes: where.
+      groups: names along the x axis.
+      series: label, colour, and a row or nothing for each group.
+      figure: the key of the median; `_min` and `_max` are beside it.
+    """
+    width = 0.8 / max(1, len(series))
+    for index, (label, colour, rows) in enumerate(series):
+        present = [(place, row) for place, row in enumerate(rows) if row]
+        x = [place + (index - (len(series) - 1) / 2) * width for place, _ in present]
+        middle, low, high = (
+            np.array([row[key] for _, row in present]) for key in (figure, f"{figure}_min", f"{figure}_max")
+        )
+        errors = np.stack([middle - low, high - middle])
+        style = {"ecolor": "0.2", "elinewidth": 0.8}
+        axes.bar(x, middle, width, color=colour, label=label, yerr=errors, error_kw=style, zorder=2)
+    axes.set_xticks(range(len(groups)), groups)
+    axes.grid(axis="x", visible=False)
+
+
+def draw_physics(axes: Axes, rows: list[Row]) -> None:
+    """Environment steps a second by family, an engine a colour, each at its largest batch."""
+    families = list(dict.fromkeys(row["family"] for row in rows))
+    series = []
+    for engine in ENGINES:
+        # Raw runs beside every engine: the ones paired with the native engine are shown.
+        mine = [row for row in rows if row["engine"] == engine and row.get("beside") in (None, engine, "native")]
+        if mine:
+            batch = max(row["batch"] for row in mine)
+            by_family = {row["family"]: row for row in mine if row["batch"] == batch}
+            series.append((f"{engine}, {batch}", COLOUR[engine], [by_family.get(family) for family in families]))
+    bars(axes, [_lines(family) for family in families], series, "env_steps_per_second")
+    axes.set(ylabel="env steps per second", title="Physics, by engine and batch")
+    _log_scale(axes)
+    axes.legend(frameon=False, fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+
+
+def draw_ratios(axes: Axes, rows: list[Row]) -> None:
+    """The native engine's speed as a part of raw `mujoco.batch`'s, by batch."""
+    native = [row for row in rows if row["engine"] == "native"]
+    families, batches = (list(dict.fromkeys(row[key] for row in native)) for key in ("family", "batch"))
+    find = {(row["family"], row["batch"]): row for row in native}
+    series = [
+        (f"batch {batch}", COLOURS[index], [find.get((family, batch)) for family in families])
+        for index, batch in enumerate(batches)
+    ]
+    bars(axes, [_lines(family) for family in families], series, "ratio_to_raw")
+    axes.axhline(TARGET, color="0.2", linewidth=1, linestyle="--", label=f"target, {TARGET}")
+    axes.set(ylabel="speed / speed of raw mujoco.batch", title="Native engine inside jit, scan and vmap")
+    axes.legend(frameon=False, fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+
+
+def draw_updates(axes: Axes, rows: list[Row]) -> None:
+    """Time of an update and of its matmuls, with their ratio."""
+    groups = [f"{row['preset']}\n{row['seeds']} seed{'s' * (row['seeds'] > 1)}" for row in rows]
+    parts = (("whole update", COLOURS[0], "update_ms"), ("its matmuls alone", COLOURS[1], "matmuls_ms"))
+    renamed = [(label, colour, [_rename(row, key) for row in rows]) for label, colour, key in parts]
+    bars(axes, groups, renamed, "ms")
+    for place, row in enumerate(rows):
+        top = max(row["update_ms_max"], row["matmuls_ms_max"])
+        axes.annotate(f"× {row['ratio_to_matmuls']:.2f}", (place, top * 1.15), ha="center", fontsize=8)
+    axes.set(ylabel="time of one update (ms)", title="Gradient update beside its matmuls")
+    axes.margins(y=0.15)
+    _log_scale(axes)
+    axes.legend(frameon=False, fontsize=7, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+
+
+def draw_startup(axes: Axes, rows: list[Row]) -> None:
+    """From the command to the first row of metrics, phase upon phase."""
+    rows = [row for row in reversed(rows) if row["what"] == "first_row"]  # barh draws upwards
+    phases = ("setup", "compile", "pretrain", "first_block")
+    floor = np.zeros(len(rows))
+    for index, phase in enumerate(phases):
+        seconds = np.array([row.get(f"{phase}_seconds", 0.0) for row in rows])
+        label = phase.replace("_", " ").replace("pretrain", "first collection").replace("first block", "first epoch")
+        axes.barh([f"{row['cache']} cache" for row in rows], seconds, 0.6, floor, color=COLOURS[index], label=label)
+        floor = floor + seconds
+    axes.set(xlabel="seconds from the command to the first metrics row", title="Start of `ear train`")
+    axes.grid(axis="y", visible=False)
+    axes.legend(frameon=False, fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+
+
+def _log_scale(axes: Axes) -> None:
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter("{x:,.0f}")
+    axes.yaxis.set_minor_formatter("")
+
+
+def _lines(family: str) -> str:
+    return family.replace("halfcheetah", "cheetah").replace("-", "\n", 1)
+
+
+def _rename(row: Row, key: str) -> Row:
+    return {f"ms{end}": row[f"{key}{end}"] for end in ("", "_min", "_max")}
+
+
+def main() -> None:
+    options = common.arguments(__doc__)
+    panels = (
+        (draw_physics, latest(options.results / "physics.jsonl", ("engine", "family", "batch", "beside"))),
+        (draw_ratios, latest(options.results / "physics.jsonl", ("engine", "family", "batch", "beside"))),
+        (draw_updates, latest(options.results / "update.jsonl", ("preset", "seeds", "backend"))),
+        (draw_startup, latest(options.results / "startup.jsonl", ("what", "module", "preset", "cache"))),
+    )
+    with plt.rc_context(STYLE):
+        figure, grid = plt.subplots(2, 2, figsize=(10, 7.5), layout="constrained")
+        for axes, (draw, rows) in zip(grid.flat, panels, strict=True):
+            if rows:
+                draw(axes, rows)
+            else:
+                axes.set_axis_off()
+        last = next((rows[-1] for _, rows in panels if rows), None)
+        if last is None:
+            raise SystemExit(f"no results in {options.results}: run the other benchmarks first")
+        machine = last["machine"]
+        quick = (
+            " · quick runs, which measure nothing" if any(row["quick"] for _, rows in panels for row in rows) else ""
+        )
+        title = f"{machine['processor']}, {machine['cores']} cores · {last['commit']} · medians and ranges"
+        title += " · quick runs, which measure nothing" if quick else ""
+        figure.suptitle(title, fontsize=9)
+        figure.savefig(options.results / "benchmarks.png")
+    print(options.results / "benchmarks.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Gymnasium's vector environments and Brax's `spring` pipeline, for `benchmarks.physics`, which starts it.
+
+    python -m benchmarks.physics_others gymnasium|spring ROBOT BATCH STEPS REPEATS
+
+A process of its own: Gymnasium's workers are forked, which a process that runs JAX must not be. Prints a JSON list.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import types
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from benchmarks import common
+
+
+def gymnasium_rows(robot: str, batch: int, steps: int, repeats: int) -> list[dict[str, Any]]:
+    """Synchronous and asynchronous vector environments, paired with raw `mujoco.batch` from the model's own pose."""
+    import gymnasium
+
+    try:
+        import imageio  # noqa: F401
+    except ModuleNotFoundError:  # Gymnasium imports it with its robots, only to save pictures from its viewer
+        sys.modules["imageio"] = types.ModuleType("imageio")
+    settings: dict[str, Any] = {"include_cfrc_ext_in_observation": False} if robot.startswith("Ant") else {}
+    actions = np.random.default_rng(0).uniform(-1, 1, (steps, batch, 8))
+    vectors: dict[str, Any] = {
+        f"gymnasium-{mode}": gymnasium.make_vec(robot, num_envs=batch, vectorization_mode=mode, **settings)
+        for mode in ("sync", "async")
+    }
+    single: Any = vectors["gymnasium-sync"].envs[0].unwrapped
+    actions = actions[..., : single.model.nu].astype(np.float32)
+    contenders = {
+        "raw": _raw(single.model, single.frame_skip, actions),
+        **{name: _vector(environments, actions) for name, environments in vectors.items()},
+    }
+    timings = common.alternate(contenders, repeats)
+    for environments in vectors.values():
+        environments.close()
+    return [
+        {
+            "engine": name,
+            **_sizes(batch, steps, repeats, timings[name].seconds),
+            **common.spread("ratio_to_raw", common.ratios(timings["raw"].seconds, timings[name].seconds)),
+        }
+        for name in vectors
+    ]
+
+
+def spring_rows(robot: str, batch: int, steps: int, repeats: int) -> list[dict[str, Any]]:
+    """Brax's own pipeline: another, coarser physics of the same robot, without automatic resets."""
+    import jax
+
+    from ear_jax import quiet, runtime  # noqa: F401  imports Brax without its line on stdout
+
+    from brax.envs import get_environment  # isort: skip
+
+    environment = get_environment(robot, backend="spring")
+    actions = jax.random.uniform(jax.random.key(0), (steps, batch, environment.action_size), minval=-1)
+
+    def step(state: Any, action: jax.Array) -> tuple[Any, None]:
+        return jax.vmap(environment.step)(state, action), None
+
+    roll = jax.jit(lambda state: jax.lax.scan(step, state, actions)[0].obs, compiler_options=runtime.compiler_options())
+    start = jax.jit(jax.vmap(environment.reset))(jax.random.split(jax.random.key(1), batch))
+    timings = common.alternate({"spring": lambda: jax.block_until_ready(roll(start))}, repeats)
+    return [{"engine": "spring", **_sizes(batch, steps, repeats, timings["spring"].seconds)}]
+
+
+def _vector(environments: Any, actions: np.ndarray) -> Callable[[], None]:
+    def run() -> None:
+        environments.reset(seed=0)
+        for action in actions:
+            environments.step(action)
+
+    return run
+
+
+def _raw(model: Any, substeps: int, actions: np.ndarray) -> Callable[[], None]:
+    from mujoco.batch import Batch
+
+    simulations = Batch(model, actions.shape[1])
+    controls = actions.astype(np.float64)
+
+    def run() -> None:
+        simulations.reset()
+        for control in controls:
+            simulations.ctrl[:] = control
+            simulations.step(nstep=substeps)
+
+    return run
+
+
+def _sizes(batch: int, steps: int, repeats: int, seconds: list[float]) -> dict[str, Any]:
+    rates = [batch * steps / value for value in seconds]
+    settings = {"batch": batch, "steps": steps, "repeats": repeats}
+    return {**settings, **common.spread("env_steps_per_second", rates)}
+
+
+def main() -> None:
+    kind, robot = sys.argv[1:3]
+    rows = {"gymnasium": gymnasium_rows, "spring": spring_rows}[kind]
+    print(json.dumps(rows(robot, *map(int, sys.argv[3:6]))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""Time of one gradient update, without collection, beside the time of its bare matmuls.
+
+The matmuls are read off the traced update, so they have its shapes whatever the networks become. Both sides are scans
+inside one compiled program; `ratio_to_matmuls` is the median ratio of paired runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import Jaxpr, jaxprs_in_params
+
+from benchmarks import common
+from ear_jax import runtime, train
+from ear_jax.config import preset_config
+from ear_jax.learner import Draws, LearnerState
+from ear_jax.replay import Replay
+from ear_jax.train import Program
+
+
+@dataclass(frozen=True)
+class Matmul:
+    """One dot product of an update, as JAX's `dot_general` takes it."""
+
+    left: tuple[int, ...]
+    right: tuple[int, ...]
+    dimensions: Any  # (contracting, batch), each a pair of tuples of axes
+
+    @property
+    def flop(self) -> int:
+        (contracting, _), (batch, _) = self.dimensions
+        shared = math.prod(self.left[axis] for axis in (*contracting, *batch))
+        inner = math.prod(self.left[axis] for axis in contracting)
+        batches = math.prod(self.left[axis] for axis in batch)
+        return 2 * inner * batches * (math.prod(self.left) // shared) * (math.prod(self.right) // shared)
+
+
+def find_matmuls(jaxpr: Jaxpr) -> Iterator[Matmul]:
+    """All dot products of a traced program that has no loops."""
+    for equation in jaxpr.eqns:
+        if equation.primitive.name == "dot_general":
+            left, right = (operand.aval.shape for operand in equation.invars)
+            yield Matmul(left, right, equation.params["dimension_numbers"])
+        for inner in jaxprs_in_params(equation.params):
+            yield from find_matmuls(inner)
+
+
+def filled(program: Program, key: jax.Array) -> train.TrainState:
+    """A fresh run whose replay is full of noise, as an update's time does not depend on what is learnt from."""
+    state = train.init(program, key)
+
+    def noise(ring: jax.Array) -> jax.Array:
+        return jnp.zeros_like(ring) if ring.dtype == bool else jax.random.normal(key, ring.shape, ring.dtype)
+
+    rings = jax.tree.map(noise, state.replay.rings)
+    return dataclasses.replace(
+        state, replay=Replay(rings, jnp.full_like(state.replay.added, rings.terminated.shape[1]))
+    )
+
+
+def update_run(program: Program, state: train.TrainState, updates: int) -> Any:
+    """Updates of all seeds, as an epoch has them after its roll-out; leaves of `state` are [seeds, …]."""
+
+    def one_seed(learner: LearnerState, buffer: Replay, key: jax.Array) -> LearnerState:
+        draws = program.learner.draw(key, updates)
+        return jax.lax.scan(lambda learner, draws: program.learner.update(learner, buffer, draws), learner, draws)[0]
+
+    run = jax.jit(jax.vmap(one_seed), compiler_options=runtime.compiler_options())
+    return lambda: jax.block_until_ready(run(state.learner, state.replay, state.key))
+
+
+def matmul_run(matmuls: list[Matmul], updates: int) -> Any:
+    """The matmuls alone. Products are carried and tied to the next round's operands, so none is left out or hoisted."""
+    keys = jax.random.split(jax.random.key(0), 2 * len(matmuls)).reshape(len(matmuls), 2)
+    operands = [
+        (jax.random.normal(left, matmul.left), jax.random.normal(right, matmul.right))
+        for matmul, (left, right) in zip(matmuls, keys, strict=True)
+    ]
+
+    def products(operands: Any) -> list[jax.Array]:
+        pairs = zip(matmuls, operands, strict=True)
+        return [jax.lax.dot_general(left, right, matmul.dimensions) for matmul, (left, right) in pairs]
+
+    @jax.jit(compiler_options=runtime.compiler_options())
+    def run(operands: Any, carry: list[jax.Array]) -> list[jax.Array]:
+        def round_of_all(carry: list[jax.Array], _: None) -> tuple[list[jax.Array], None]:
+            tied, _ = jax.lax.optimization_barrier((operands, carry))
+            return products(tied), None
+
+        return jax.lax.scan(round_of_all, carry, length=updates)[0]
+
+    start = products(operands)
+    return lambda: jax.block_until_ready(run(operands, start))
+
+
+def measure(options: argparse.Namespace, preset: str, seeds: int, updates: int, repeats: int) -> None:
+    config = dataclasses.replace(preset_config("halfcheetah-vel", preset), seeds=seeds)
+    program = train.make_program(config)
+    state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
+    matmuls = list(find_matmuls(jax.make_jaxpr(partial(_first_update, program))(state).jaxpr))
+    contenders = {"update": update_run(program, state, updates), "matmuls": matmul_run(matmuls, updates)}
+    timings = common.alternate(contenders, repeats)
+    update, bare = timings["update"], timings["matmuls"]
+    flop = sum(matmul.flop for matmul in matmuls)
+    row = {
+        "preset": preset,
+        "family": config.family,
+        "seeds": seeds,
+        "backend": jax.default_backend(),
+        "width": config.network.width,
+        "batch_size": config.sac.batch_size,
+        "updates": updates,
+        "repeats": repeats,
+        "matmuls": len(matmuls),
+        "gflop": round(flop / 1e9, 4),
+        **common.spread("update_ms", [1e3 * value / updates for value in update.seconds]),
+        **common.spread("matmuls_ms", [1e3 * value / updates for value in bare.seconds]),
+        **common.spread("ratio_to_matmuls", common.ratios(update.seconds, bare.seconds)),
+        **common.spread("cores_used", update.cores),
+    }
+    common.write_row(options, "update", row)
+
+
+def _first_update(program: Program, state: train.TrainState) -> LearnerState:
+    def one_seed(learner: LearnerState, buffer: Replay, key: jax.Array) -> LearnerState:
+        draws: Draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(key, 1))
+        return program.learner.update(learner, buffer, draws)[0]
+
+    return jax.vmap(one_seed)(state.learner, state.replay, state.key)
+
+
+def main() -> None:
+    options = common.arguments(__doc__)
+    for preset in ("fast", "paper"):
+        for seeds in (1, 2):
+            measure(options, preset, seeds, *((2, 2) if options.quick else (20, 7)))
+
+
+if __name__ == "__main__":
+    main()
