@@ -67,7 +67,7 @@ def train_run(config: Config, directory: Path) -> None:
     keys = train.seed_keys(config)
     _check_memory(program, keys)
     if not steps:
-        directory.mkdir(parents=True, exist_ok=True)
+        _make(directory)
         document = {"config": dataclasses.asdict(config), "tasks": _tasks_document(program), **records.provenance()}
         records.write_json(directory / "config.json", document)
     say(_header(program, directory))
@@ -180,6 +180,13 @@ def _check_directory(directory: Path, config: Config) -> None:
         _refuse_changes(directory, from_dict(records.read_run(directory)["config"]), config)
     elif directory.exists() and any(directory.iterdir()):
         raise UsageError(f"--out {directory} is neither empty nor a run directory; name another")
+
+
+def _make(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"cannot make {directory}: {error.strerror}") from None
 
 
 def _refuse_changes(directory: Path, before: Config, now: Config) -> None:

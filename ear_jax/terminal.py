@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 console = Console(stderr=True, highlight=False)
 
@@ -33,7 +33,6 @@ class TrainingBar:
         self._bar = Progress(
             SpinnerColumn(),
             TextColumn("epoch {task.completed:.0f}/{task.total:.0f}"),
-            BarColumn(bar_width=20),
             TextColumn("{task.description}"),
             TimeElapsedColumn(),
             TextColumn("left"),
@@ -53,7 +52,7 @@ class TrainingBar:
 
     def update(self, epoch: int, mean_return: float, env_steps_rate: float, updates_rate: float) -> None:
         """Tells what a block reached, in environment steps and updates a second."""
-        text = f"return {mean_return:.1f} · {env_steps_rate:,.0f} env-steps/s · {updates_rate:,.0f} updates/s"
+        text = f"return {mean_return:.1f} · {env_steps_rate:,.0f} steps/s · {updates_rate:,.0f} updates/s"
         self._bar.update(self._task, completed=epoch, description=text)
         if self._plain:
             say(f"epoch {epoch}/{self._epochs} · {text}")

@@ -99,6 +99,12 @@ def test_too_large_a_replay_is_refused_with_the_sizes(tmp_path, monkeypatch, cap
     assert not Path("runs").exists()
 
 
+def test_a_directory_that_cannot_be_made_is_exit_code_1(capsys):
+    """/proc takes no new directories, from root either."""
+    assert main(["train", "halfcheetah-vel", "--out", "/proc/run"]) == 1
+    assert capsys.readouterr().err.startswith("ear: cannot ")
+
+
 def test_an_engine_that_cannot_run_here_is_exit_code_1(tmp_path, monkeypatch, capsys):
     import jax
 
