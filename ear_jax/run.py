@@ -39,7 +39,8 @@ class Compiled:
 
 
 def default_directory(config: Config) -> Path:
-    return Path("runs") / f"{config.family}-{config.agent}-{config.preset}-seed{config.seed}"
+    family = config.family.rpartition(":")[2].lower()  # of path/to/file.py:ClassName, the class
+    return Path("runs") / f"{family}-{config.agent}-{config.preset}-seed{config.seed}"
 
 
 def train_run(config: Config, directory: Path) -> None:

@@ -41,7 +41,9 @@ class TaskSet:
 
     @property
     def params(self) -> TaskParams:
-        """The reward's numbers, each leaf [tasks]."""
+        """The reward's numbers, each leaf [tasks]; nothing for no tasks."""
+        if not self.tasks:
+            return {}
         return jax.tree.map(lambda *leaves: jnp.asarray(leaves, jnp.float32), *(task.params for task in self.tasks))
 
     def index(self, name: str) -> int:

@@ -15,7 +15,7 @@ class HalfCheetah(Family):
 
     model_file = "half_cheetah.xml"
     substeps = 5
-    mjx_solver = (4, 8)
+    mjx_solver = (4, 8)  # worst error of a step in qpos 3.8e-5, with more the same
 
     def initial(self, key: jax.Array) -> Physics:
         return self.noisy_start(key, 0.1, lambda key, shape: 0.1 * jax.random.normal(key, shape))

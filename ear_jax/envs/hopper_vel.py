@@ -14,7 +14,7 @@ class HopperVel(LeggedVelocityFamily):
 
     name = "hopper-vel"
     model_file = "hopper.xml"
-    mjx_solver = (4, 8)
+    mjx_solver = (4, 8)  # worst error of a step in qpos 6.5e-6, with more the same
     alive_bonus = 1.05
 
     def terminated(self, physics: Physics) -> jax.Array:

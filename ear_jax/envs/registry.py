@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -67,14 +68,16 @@ def make_family(name: str, engine: str = "auto", **options: Any) -> Family:
 def _from_file(path: str, class_name: str) -> type[Family]:
     if not Path(path).is_file():
         raise UsageError(f"no file {path}; a family of your own is named path/to/file.py:ClassName")
-    spec = importlib.util.spec_from_file_location(Path(path).stem, path)
+    spec = importlib.util.spec_from_file_location(f"ear_jax_user_{Path(path).stem}", path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{path} is no Python file")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look their own module up
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise UsageError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
+        del sys.modules[spec.name]
+        raise UsageError(f"{path} cannot be run: {type(error).__name__}: {error}".splitlines()[0]) from error
     found = {name: kind for name, kind in vars(module).items() if _is_family(kind)}
     if class_name not in found:
         raise unknown("family", class_name, found)

@@ -29,7 +29,7 @@ class VelocityFamily(Family):
 
     def adaptation_tasks(self, seed: int) -> TaskSet:
         speeds = np.random.default_rng(seed).uniform(*self.adaptation_range, size=3)
-        return task_set([velocity_task(round(float(speed), 4)) for speed in speeds])
+        return task_set([velocity_task(float(speed)) for speed in speeds])
 
     def interpolation_tasks(self) -> TaskSet:
         pairs = zip(self.speeds[:-1], self.speeds[1:], strict=True)

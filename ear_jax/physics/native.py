@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +34,7 @@ class NativeEngine:
         self._body_ids = body_ids
         # Positions lag one substep behind the state after mj_step, so a family that reads them pays for a refresh.
         self._stage = mujoco.mjtStage.mjSTAGE_POS if body_ids else mujoco.mjtStage.mjSTAGE_NONE
-        self._batches: dict[int, Batch] = {}  # by number of simulations: a batch holds its threads and MjData
+        self._pools: dict[int, _Pool] = {}  # by number of simulations: a pool holds its threads and MjData
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
         def like(*shape: int) -> jax.ShapeDtypeStruct:
@@ -47,25 +48,32 @@ class NativeEngine:
 
     def _step_batch(self, context, outputs, *inputs) -> None:
         """Runs on the host with the buffers of the whole batch; leading axes are whatever was vmapped."""
-        qpos, qvel, warmstart, action = map(np.asarray, inputs)
-        count = math.prod(qpos.shape[:-1])
-        batch = self._batch(count)
-        batch.qpos[:] = qpos.reshape(count, -1)
-        batch.qvel[:] = qvel.reshape(count, -1)
-        batch.qacc_warmstart[:] = warmstart.reshape(count, -1)
-        batch.ctrl[:] = action.reshape(count, -1)
-        batch.step(nstep=self._substeps, stage=self._stage.value)
-        fields = [batch.qpos, batch.qvel, batch.qacc_warmstart]
-        if self._body_ids:
-            fields.append(batch.xpos[:, self._body_ids])
-        for output, field in zip(outputs, fields, strict=False):  # no fourth field without tracked bodies
+        arrays = [np.asarray(buffer) for buffer in inputs]
+        count = math.prod(arrays[0].shape[:-1])
+        pool = self._pools.get(count) or self._open(count)
+        for field, array in zip(pool.inputs, arrays, strict=True):
+            field[...] = array.reshape(field.shape)
+        pool.batch.step(nstep=self._substeps, stage=self._stage.value)
+        for output, field in zip(outputs, pool.outputs, strict=False):  # positions only where bodies are tracked
             buffer = np.asarray(output)
-            buffer[...] = field.reshape(buffer.shape)
+            buffer.reshape(field.shape)[...] = field
+        if self._body_ids:
+            buffer = np.asarray(outputs[-1])
+            buffer[...] = pool.batch.xpos[:, self._body_ids].reshape(buffer.shape)
 
-    def _batch(self, count: int) -> Batch:
-        if count not in self._batches:
-            batch = Batch(self._model, count)
-            if self._body_ids:
-                batch.bind("xpos")  # from now on copied out after every call
-            self._batches[count] = batch
-        return self._batches[count]
+    def _open(self, count: int) -> _Pool:
+        batch = Batch(self._model, count)
+        if self._body_ids:
+            batch.bind("xpos")  # from now on copied out after every call
+        state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
+        self._pools[count] = _Pool(batch, (*state, batch.ctrl), state)
+        return self._pools[count]
+
+
+@dataclass(frozen=True)
+class _Pool:
+    """Simulations with views of their state: looking one up costs as much as copying it."""
+
+    batch: Batch
+    inputs: tuple[np.ndarray, ...]  # each [simulations, size], float64
+    outputs: tuple[np.ndarray, ...]
