@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -159,3 +160,20 @@ def test_warp_equals_plain_mujoco_or_says_what_to_install(cheetah):
     np.testing.assert_allclose(motion.after.qpos, qpos, atol=3e-5)
     np.testing.assert_allclose(motion.after.qvel, qvel, atol=3e-3)
     np.testing.assert_allclose(motion.positions, positions, atol=1e-5)
+
+
+def test_threads_that_share_an_engine_do_not_share_their_simulations(cheetah):
+    """A step of the batch lets go of the GIL: without a lock two callers would write into one another's states."""
+    engine = make_engine("native", cheetah, SUBSTEPS, (), (4, 8))
+    states = random_states(cheetah, 256)
+    roll = jax.jit(
+        lambda physics, action: (
+            jax.lax.scan(lambda now, _: (jax.vmap(engine.step)(now, action).after, None), physics, length=40)[0].qpos
+        )
+    )
+    sides = [(Physics(*states[:3]), sign * states[3]) for sign in (1, -1)]
+    alone = [np.asarray(roll(*side)) for side in sides]
+    with ThreadPoolExecutor(2) as pool:
+        together = list(pool.map(lambda side: np.asarray(roll(*side)), sides * 4))
+    for index, qpos in enumerate(together):
+        np.testing.assert_array_equal(qpos, alone[index % 2])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import threading
 from dataclasses import dataclass
 
 import jax
@@ -34,6 +35,7 @@ class NativeEngine:
         self._body_ids = body_ids
         # Positions lag one substep behind the state after mj_step, so a family that reads them pays for a refresh.
         self._stage = mujoco.mjtStage.mjSTAGE_POS if body_ids else mujoco.mjtStage.mjSTAGE_NONE
+        self._lock = threading.Lock()  # a step lets go of the GIL, and another thread or device may call meanwhile
         self._pools: dict[int, _Pool] = {}  # by number of simulations: a pool holds its threads and MjData
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
@@ -50,16 +52,17 @@ class NativeEngine:
         """Runs on the host with the buffers of the whole batch; leading axes are whatever was vmapped."""
         arrays = [np.asarray(buffer) for buffer in inputs]
         count = math.prod(arrays[0].shape[:-1])
-        pool = self._pools.get(count) or self._open(count)
-        for field, array in zip(pool.inputs, arrays, strict=True):
-            field[...] = array.reshape(field.shape)
-        pool.batch.step(nstep=self._substeps, stage=self._stage.value)
-        for output, field in zip(outputs, pool.outputs, strict=False):  # positions only where bodies are tracked
-            buffer = np.asarray(output)
-            buffer.reshape(field.shape)[...] = field
-        if self._body_ids:
-            buffer = np.asarray(outputs[-1])
-            buffer[...] = pool.batch.xpos[:, self._body_ids].reshape(buffer.shape)
+        with self._lock:
+            pool = self._pools.get(count) or self._open(count)
+            for field, array in zip(pool.inputs, arrays, strict=True):
+                field[...] = array.reshape(field.shape)
+            pool.batch.step(nstep=self._substeps, stage=self._stage.value)
+            for output, field in zip(outputs, pool.outputs, strict=False):  # positions only where bodies are tracked
+                buffer = np.asarray(output)
+                buffer.reshape(field.shape)[...] = field
+            if self._body_ids:
+                buffer = np.asarray(outputs[-1])
+                buffer[...] = pool.batch.xpos[:, self._body_ids].reshape(buffer.shape)
 
     def _open(self, count: int) -> _Pool:
         batch = Batch(self._model, count)
