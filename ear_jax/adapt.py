@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -11,12 +12,12 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from ear_jax import cem
+from ear_jax import atlas, cem
 from ear_jax.evaluate import play
 from ear_jax.networks import Params
 from ear_jax.runtime import compiler_options
-from ear_jax.tasks import TaskParams, TaskSet
-from ear_jax.train import Program
+from ear_jax.tasks import Task, TaskParams, TaskSet
+from ear_jax.train import Program, evaluation_keys
 from ear_jax.trained import Trained
 
 
@@ -41,6 +42,7 @@ class Progress:
 
     best_of_epoch: jax.Array  # the best of the candidates' returns, one noisy episode each: the paper's curve
     reevaluated: jax.Array  # the return of that candidate on fresh episodes, without exploration
+    achieved: jax.Array  # the commanded quantity in them
     code: jax.Array  # that candidate
 
 
@@ -71,16 +73,61 @@ def search_codes(
         returns = played.returns.reshape(count, search.candidates)
         state = jax.vmap(cem.tell)(state, candidates, returns)
         best = state.elites[:, 0]
-        again = play(family, agent, policy, best, tasks, key_again, episodes)
-        return state, Progress(returns.max(axis=1), again.returns.mean(axis=1), best)
+        again, achieved = _judge(program, policy, best, tasks, key_again, episodes)
+        return state, Progress(returns.max(axis=1), again, achieved, best)
 
     state = jax.vmap(begin)(jax.random.split(key_init, count))
     return jax.lax.scan(epoch, state, jax.random.split(key_epochs, search.epochs))[1]
 
 
-def adapt(trained: Trained, tasks: TaskSet, search: Search, episodes: int, seed: int) -> dict[str, Any]:
-    """Adapts every seed's policy to every task; what `ear adapt --json` prints."""
+def adapt(
+    trained: Trained, tasks: TaskSet, search: Search | None, episodes: int, seed: int, places: int = atlas.PLACES
+) -> dict[str, Any]:
+    """Adapts every seed's policy to every task, by search and from a map of the sphere.
+
+    Args:
+      trained: the run.
+      tasks: the tasks.
+      search: how to search; None: only the map.
+      episodes: fresh episodes by which a code is judged.
+      seed: seeds everything.
+      places: codes of the map; the map answers tasks that command something.
+
+    Returns:
+      What `ear adapt --json` prints.
+
+    Raises:
+      UsageError: a target that no surveyed code comes near.
+    """
     began = time.perf_counter()
+    program, config = trained.program, trained.program.config
+    commanding = [task for task in tasks.tasks if task.target is not None]
+    answers = zero_shot(trained, commanding, episodes, seed, places) if commanding else {}
+    searched = _search_all(trained, tasks, search, seed, episodes) if search else {}
+    found = [
+        {
+            "seed": run_seed,
+            "name": task.name,
+            "target": task.target,
+            "lte": (searched or answers)[run_seed, task.name]["lte"],
+            "epochs": searched[run_seed, task.name]["epochs"] if search else [],
+            "zero_shot": answers.get((run_seed, task.name)),
+        }
+        for run_seed in range(config.seed, config.seed + config.seeds)
+        for task in tasks.tasks
+    ]
+    episodes_searched = len(tasks) * search.epochs * search.candidates if search else 0
+    return {
+        "tasks": found,
+        "env_steps": config.seeds * episodes_searched * program.family.episode_length,
+        "seconds": round(time.perf_counter() - began, 2),
+    }
+
+
+def _search_all(
+    trained: Trained, tasks: TaskSet, search: Search, seed: int, episodes: int
+) -> dict[tuple[int, str], dict[str, Any]]:
+    """Every seed's search for every task in one call, by seed and task."""
     program, count = trained.program, trained.program.config.seeds
     keys = jax.random.split(jax.random.key(seed), count)
 
@@ -88,22 +135,61 @@ def adapt(trained: Trained, tasks: TaskSet, search: Search, episodes: int, seed:
         return search_codes(program, policy, tasks.params, key, search, episodes)
 
     progress = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))
-    found = [
-        {
-            "seed": program.config.seed + index,
-            "name": task.name,
-            "target": task.target,
-            "lte": progress.code[index, -1, row].tolist(),
-            "epochs": [
-                {
-                    "best_of_epoch": float(progress.best_of_epoch[index, epoch, row]),
-                    "reevaluated": float(progress.reevaluated[index, epoch, row]),
-                }
-                for epoch in range(search.epochs)
-            ],
-        }
+
+    def describe(index: int, row: int) -> dict[str, Any]:
+        curves = {name: getattr(progress, name)[index, :, row] for name in ("best_of_epoch", "reevaluated", "achieved")}
+        epochs = [{name: float(curve[epoch]) for name, curve in curves.items()} for epoch in range(search.epochs)]
+        return {"lte": progress.code[index, -1, row].tolist(), "epochs": epochs}
+
+    return {
+        (program.config.seed + index, task.name): describe(index, row)
         for index in range(count)
         for row, task in enumerate(tasks.tasks)
-    ]
-    steps = count * len(tasks) * search.epochs * search.candidates * program.family.episode_length
-    return {"tasks": found, "env_steps": steps, "seconds": round(time.perf_counter() - began, 2)}
+    }
+
+
+def zero_shot(
+    trained: Trained, tasks: Sequence[Task], episodes: int, seed: int, places: int
+) -> dict[tuple[int, str], dict[str, Any]]:
+    """For every seed and task, the code that a map of the sphere promises, and what it then achieves.
+
+    Every task commands something.
+
+    Raises:
+      UsageError: a target that no surveyed code comes near.
+    """
+    program, family = trained.program, trained.program.family
+    targets = [task.target for task in tasks if task.target is not None]
+    atlases = atlas.survey(trained, places, 1, seed)
+    for target in targets:
+        atlas.check_reach(atlases, family, target)
+    chosen = [[atlas.place_for(one, family, target) for target in targets] for one in atlases]
+    codes = jnp.array([[code for code, _ in row] for row in chosen])
+    params = TaskSet(tuple(tasks)).params
+    keys = evaluation_keys(jax.random.split(jax.random.key(seed), len(atlases)), 0)
+
+    def of_seed(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return _judge(program, policy, codes, params, key, episodes)
+
+    judge_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
+    returns, achieved = jax.device_get(judge_all(trained.policies, codes, keys))
+    return {
+        (program.config.seed + index, task.name): {
+            "lte": codes[index, row].tolist(),
+            "predicted": chosen[index][row][1],
+            "achieved": float(achieved[index, row]),
+            "error": abs(float(family.difference(achieved[index, row], task.target))),
+            "reevaluated": float(returns[index, row]),
+        }
+        for index in range(len(atlases))
+        for row, task in enumerate(tasks)
+    }
+
+
+def _judge(
+    program: Program, policy: Params, codes: jax.Array, tasks: TaskParams, key: jax.Array, episodes: int
+) -> tuple[jax.Array, jax.Array]:
+    """Mean return and commanded quantity of codes [rows, code] on fresh episodes of their tasks, each [rows]."""
+    played = play(program.family, program.agent, policy, codes, tasks, key, episodes)
+    late, whole = (jax.tree.map(lambda leaf: leaf.mean(axis=-1), means) for means in (played.late, played.whole))
+    return played.returns.mean(axis=-1), program.family.achieved(late, whole)

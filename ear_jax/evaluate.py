@@ -76,6 +76,12 @@ def play(
     return Episodes(returns, lengths, mean_over(late), mean_over(playing))
 
 
+def play_codes(program: Program, policy: Params, codes: jax.Array, key: jax.Array, episodes: int) -> Episodes:
+    """Plays one policy under any codes [rows, code], for their outcomes; their returns are of no task in particular."""
+    tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], len(codes)), program.tasks.params)
+    return play(program.family, program.agent, policy, codes, tasks, key, episodes)
+
+
 def play_training_tasks(program: Program, policy: Params, key: jax.Array, episodes: int) -> Episodes:
     """Plays one policy on the tasks it was trained on."""
     codes = program.agent.codes(policy)
@@ -118,6 +124,49 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
         "commanded": {"outcome": program.family.commanded, "unit": program.family.unit},
         "seeds": seeds,
         "mean_return": float(np.mean(played.returns)),
+    }
+
+
+def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) -> dict[str, Any]:
+    """What every seed's policy does under a code of its own, whatever task that may serve.
+
+    Args:
+      trained: the run.
+      codes: [seeds, code].
+      episodes: how many.
+      seed: of the starts.
+
+    Returns:
+      What `ear evaluate --lte --json` prints.
+    """
+    program, family = trained.program, trained.program.family
+
+    def of_seed(policy: Params, code: jax.Array, key: jax.Array) -> Episodes:
+        return play_codes(program, policy, program.agent.project(code)[None], key, episodes)
+
+    keys = jax.random.split(jax.random.key(seed), program.config.seeds)
+    play_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
+    played = jax.device_get(play_all(trained.policies, codes, keys))
+    late, whole = (
+        {name: value[:, 0].mean(-1) for name, value in means.items()} for means in (played.late, played.whole)
+    )
+    achieved = np.asarray(family.achieved(late, whole))
+    return {
+        "run": trained.name,
+        "episodes": episodes,
+        "commanded": {"outcome": family.commanded, "unit": family.unit},
+        "seeds": [
+            {
+                "seed": program.config.seed + index,
+                "lte": codes[index].tolist(),
+                "length": float(played.lengths[index].mean()),
+                "outcome": {
+                    **{name: float(value[index]) for name, value in late.items()},
+                    family.commanded: float(achieved[index]),
+                },
+            }
+            for index in range(program.config.seeds)
+        ],
     }
 
 

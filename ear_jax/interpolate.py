@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -11,28 +12,43 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax.codes import blend, slerp
-from ear_jax.evaluate import Episodes, play
+from ear_jax.envs import Family
+from ear_jax.errors import UsageError
+from ear_jax.evaluate import Episodes, play_codes
 from ear_jax.networks import Params
 from ear_jax.runtime import compiler_options
-from ear_jax.train import Program
 from ear_jax.trained import Trained
 
 BETAS = tuple(round(0.01 * step, 2) for step in range(1, 100))
 MID_TASK_RANGE = (0.1, 0.9)  # where the paper looks for a suitable β
 # The paper does not say how near is reached; its tables count 1.60 for 1.5 m/s as a miss and 9.51 for 9.5 as a hit.
 REACHED = 0.05  # of the distance between the two tasks
-Pair = tuple[int, int]
 
 
-def adjacent_pairs(program: Program) -> list[Pair]:
-    """Neighbours among the training tasks that command something; where it wraps, the last and the first too."""
-    tasks = program.tasks.tasks
-    order = sorted((task.target, row) for row, task in enumerate(tasks) if task.target is not None)
-    pairs = [(one, other) for (_, one), (_, other) in pairwise(order)]
-    if len(order) > 2:
-        (first, first_row), (last, last_row) = order[0], order[-1]
-        if program.family.difference(first, last) != first - last:
-            pairs.append((last_row, first_row))
+@dataclass(frozen=True)
+class End:
+    """One end of an interpolation: a code a seed, and what it is for."""
+
+    name: str
+    target: float | None
+    codes: np.ndarray  # [seeds, code]
+
+
+Pair = tuple[End, End]
+
+
+def trained_ends(trained: Trained) -> list[End]:
+    """The training tasks' codes, in their order."""
+    table = np.asarray(jax.vmap(trained.program.agent.codes)(trained.policies))
+    return [End(task.name, task.target, table[:, row]) for row, task in enumerate(trained.program.tasks.tasks)]
+
+
+def adjacent_pairs(ends: Sequence[End], family: Family) -> list[Pair]:
+    """Neighbours among those that command something; where that wraps, the last and the first too."""
+    order = sorted((end for end in ends if end.target is not None), key=lambda end: end.target or 0.0)
+    pairs = list(pairwise(order))
+    if family.period is not None and len(order) > 2:
+        pairs.append((order[-1], order[0]))
     return pairs
 
 
@@ -43,32 +59,28 @@ def play_blends(
 
     Args:
       trained: the run.
-      pairs: rows of the code table.
+      pairs: between what.
       betas: β of equation 1; outside [0, 1] it extrapolates.
       episodes: how many a blend.
       seed: of the starts.
       along: `chord`, the paper's normalised sum, or `arc`, the great circle.
     """
-    program, first, second = trained.program, *np.array(pairs).T
-    family, agent = program.family, program.agent
+    program, agent = trained.program, trained.program.agent
+    firsts, seconds = (jnp.stack([end.codes for end in ends], axis=1) for ends in zip(*pairs, strict=True))
 
-    def of_seed(policy: Params, key: jax.Array) -> Episodes:
-        table = agent.codes(policy)
+    def between(one: jax.Array, other: jax.Array, beta: jax.Array) -> jax.Array:
+        return slerp(one, other, beta) if along == "arc" else blend(one, other, beta, agent.project)
 
-        def between(one: jax.Array, other: jax.Array, beta: jax.Array) -> jax.Array:
-            return slerp(one, other, beta) if along == "arc" else blend(one, other, beta, agent.project)
-
+    def of_seed(policy: Params, first: jax.Array, second: jax.Array, key: jax.Array) -> Episodes:
         over_betas = jax.vmap(between, in_axes=(None, None, 0))
-        codes = jax.vmap(over_betas, in_axes=(0, 0, None))(table[first], table[second], jnp.array(betas))
-        rows = codes.reshape(-1, agent.code_size)
-        # An outcome does not depend on the task it is scored for; any will do.
-        tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], len(rows)), program.tasks.params)
-        return play(family, agent, policy, rows, tasks, key, episodes)
+        codes = jax.vmap(over_betas, in_axes=(0, 0, None))(first, second, jnp.array(betas))
+        return play_codes(program, policy, codes.reshape(-1, agent.code_size), key, episodes)
 
     keys = jax.random.split(jax.random.key(seed), program.config.seeds)
-    played = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))
+    play_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
+    played = jax.device_get(play_all(trained.policies, firsts, seconds, keys))
     late, whole = ({name: value.mean(-1) for name, value in means.items()} for means in (played.late, played.whole))
-    return np.asarray(family.achieved(late, whole)).reshape(-1, len(pairs), len(betas))
+    return np.asarray(program.family.achieved(late, whole)).reshape(-1, len(pairs), len(betas))
 
 
 def interpolate(
@@ -78,17 +90,22 @@ def interpolate(
 
     Args:
       trained: the run.
-      pairs: rows of the code table.
+      pairs: between what; both ends command something.
       target: what to meet; None: midway between the two.
       episodes, seed, along: as in `play_blends`.
 
     Returns:
       What `ear interpolate --json` prints.
+
+    Raises:
+      UsageError: a target that lies outside what the blends achieve.
     """
     achieved = play_blends(trained, pairs, BETAS, episodes, seed, along)
-    tasks, family = trained.program.tasks.tasks, trained.program.family
+    family = trained.program.family
+    if target is not None:
+        _check_reach(family, pairs[0], achieved, target)
     found = [
-        {"seed": trained.program.config.seed + index, **_judge(family, tasks[one], tasks[other], row, target)}
+        {"seed": trained.program.config.seed + index, **_judge(family, one, other, row, target)}
         for index, rows in enumerate(achieved)
         for (one, other), row in zip(pairs, rows, strict=True)
     ]
@@ -99,7 +116,15 @@ def interpolate(
     return {"pairs": found, "mid_task": count("mid_task"), "one_to_one": count("one_to_one")}
 
 
-def _judge(family: Any, one: Any, other: Any, achieved: np.ndarray, target: float | None) -> dict[str, Any]:
+def _check_reach(family: Family, pair: Pair, achieved: np.ndarray, target: float) -> None:
+    """Refuses a target further from every blend than its ends are from one another."""
+    gap = abs(family.difference(pair[0].target, pair[1].target))
+    if np.abs(family.difference(achieved, target)).min() > gap:
+        reached = f"{achieved.min():.2f} to {achieved.max():.2f} {family.unit}"
+        raise UsageError(f"no blend of {pair[0].name} and {pair[1].name} comes near {target:g}; they reach {reached}")
+
+
+def _judge(family: Family, one: End, other: End, achieved: np.ndarray, target: float | None) -> dict[str, Any]:
     """One pair's blends [betas]: `achieved` at β of `BETAS`."""
     betas = np.array(BETAS)
     gap = family.difference(other.target, one.target)

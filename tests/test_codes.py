@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from probe import Bandit
 
-from ear_jax import cem
+from ear_jax import cem, ltes
 from ear_jax.adapt import Search, adapt
 from ear_jax.agents import Agent
+from ear_jax.atlas import Atlas, place_for
 from ear_jax.codes import blend, fibonacci_sphere, slerp
 from ear_jax.config import Config
-from ear_jax.envs.ant_dir import AntDir, direction_task
-from ear_jax.interpolate import BETAS, adjacent_pairs, interpolate, play_blends
+from ear_jax.envs.ant_dir import AntDir
+from ear_jax.errors import UsageError
+from ear_jax.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.networks import unit
 from ear_jax.policy import Gaussian
 from ear_jax.tasks import task_set
@@ -78,7 +80,7 @@ def test_sphere_is_covered_evenly():
 
 def test_beta_search_finds_the_closed_form(toy):
     """The blend's first number is b/√(b² + 3), b = 1 − 2β: 0.2 asks for b = 0.2 √3 / √0.96."""
-    found = interpolate(toy, [(0, 1)], target=0.2, episodes=1, seed=0)["pairs"][0]
+    found = interpolate(toy, [tuple(trained_ends(toy))], target=0.2, episodes=1, seed=0)["pairs"][0]
     exact = (1 - 0.2 * np.sqrt(3) / np.sqrt(0.96)) / 2
     assert found["beta"] == pytest.approx(exact, abs=0.006)
     assert found["outcome"] == pytest.approx(0.2, abs=0.005)
@@ -90,22 +92,23 @@ def test_beta_search_finds_the_closed_form(toy):
 def test_extrapolation_follows_the_formula(toy):
     betas = (1.8, 1.0, 0.25, 0.0, -0.8)
     b = 1 - 2 * np.array(betas)
-    achieved = play_blends(toy, [(0, 1)], betas, episodes=1, seed=0)
+    achieved = play_blends(toy, [tuple(trained_ends(toy))], betas, episodes=1, seed=0)
     np.testing.assert_allclose(achieved[0, 0], b / np.sqrt(b**2 + 3), atol=1e-4)
 
 
 def test_a_pair_without_a_way_between_fails_both_measures(toy):
     stuck = Program(toy.program.config, toy.program.family, toy.program.tasks, obedient(CODES[:1].repeat(2, 0)), None)
-    found = interpolate(Trained("stuck", stuck, jnp.zeros((1, 1)), 0), [(0, 1)], None, 1, 0)
+    trained = Trained("stuck", stuck, jnp.zeros((1, 1)), 0)
+    found = interpolate(trained, [tuple(trained_ends(trained))], None, 1, 0)
     assert found["mid_task"] == {"success": 0, "total": 1}
     assert found["one_to_one"] == {"success": 0, "total": 1}
 
 
 def test_neighbours_of_directions_wrap():
     family = AntDir("native")
-    tasks = task_set([direction_task(angle) for angle in (0, 90, 180, 270)])
-    program = Program(Config("ant-dir"), family, tasks, None, None)  # type: ignore[arg-type]
-    assert adjacent_pairs(program) == [(0, 1), (1, 2), (2, 3), (3, 0)]
+    ends = [End(str(angle), angle, np.zeros((1, 3))) for angle in (90.0, 0.0, 270.0, 180.0)]
+    found = [(one.target, other.target) for one, other in adjacent_pairs(ends, family)]
+    assert found == [(0, 90), (90, 180), (180, 270), (270, 0)]
     assert family.difference(350.0, 10.0) == -20
     assert family.difference(10.0, 350.0) == 20
 
@@ -133,3 +136,58 @@ def test_cem_asks_the_elites_again_and_keeps_the_best():
 
 def test_betas_are_the_papers():
     assert (BETAS[0], BETAS[49], BETAS[-1], len(BETAS)) == (0.01, 0.5, 0.99, 99)
+
+
+@pytest.mark.parametrize("target", [0.3, -0.7])
+def test_a_map_of_the_sphere_answers_without_search(toy, target):
+    tasks = task_set([toy.program.family.parse_task(str(target))])
+    document = adapt(toy, tasks, None, episodes=1, seed=0)
+    (task,) = document["tasks"]
+    assert document["env_steps"] == 0
+    assert task["epochs"] == []
+    assert task["zero_shot"]["lte"] == task["lte"]
+    assert task["lte"][0] == pytest.approx(target, abs=0.03)
+    assert task["zero_shot"]["error"] == pytest.approx(abs(task["lte"][0] - target), abs=1e-3)
+    assert task["zero_shot"]["predicted"] == pytest.approx(target, abs=0.02)
+
+
+def test_a_map_refuses_what_no_code_reaches(toy):
+    with pytest.raises(UsageError, match=r"no code of this run comes near 5 1; they reach -1.00 to 1.00"):
+        adapt(toy, task_set([toy.program.family.parse_task("5")]), None, episodes=1, seed=0)
+
+
+def test_a_map_of_directions_wraps():
+    """Codes whose direction is their longitude: 350° and 10° are neighbours of 0°."""
+    codes = fibonacci_sphere(2000)
+    longitude = np.degrees(np.arctan2(codes[:, 1], codes[:, 0])) % 360
+    code, predicted = place_for(Atlas(codes, longitude, {}), AntDir("native"), 0.0)
+    assert abs(np.degrees(np.arctan2(code[1], code[0]))) < 3
+    assert abs(predicted) < 3
+    assert abs(code[2]) < 0.9, "near the poles all directions meet, and none is kept"
+
+
+def test_ltes_are_saved_by_name_and_found_again(tmp_path):
+    ltes.save(tmp_path, "trot", "vel-3.6", [[0.0, 0.6, 0.8]])
+    assert ltes.find(tmp_path, ["trot"], seeds=1, size=3) == [[0.0, 0.6, 0.8]]
+    assert ltes.find(tmp_path, ["1", "0", "0"], seeds=2, size=3) == [[1.0, 0.0, 0.0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["trott"], "did you mean 'trot'"),
+        (["1", "0"], "has 2 numbers; this run's LTEs have 3"),
+        (["0", "0", "0"], "no direction"),
+        (["1", "nan", "0"], "no direction"),
+        (["1", "x", "0"], "neither a name nor 3 numbers"),
+    ],
+)
+def test_bad_ltes_are_one_line(tmp_path, words, complaint):
+    ltes.save(tmp_path, "trot", "vel-3.6", [[0.0, 0.6, 0.8]])
+    with pytest.raises(UsageError, match=complaint):
+        ltes.find(tmp_path, words, seeds=1, size=3)
+
+
+def test_an_lte_cannot_be_named_like_a_number(tmp_path):
+    with pytest.raises(UsageError, match="begin with a letter"):
+        ltes.save(tmp_path, "3.6", "vel-3.6", [[0.0, 0.6, 0.8]])

@@ -13,7 +13,8 @@ PACKAGE = Path(ear_jax.__file__).parent
 # From the bottom up; a module may import only from rows above its own, or from its own package.
 LAYERS = [
     {"errors", "quiet", "stopping"},
-    {"records", "tasks", "config", "physics", "networks", "policy", "runtime", "terminal", "checkpoint", "report"},
+    {"records"},
+    {"tasks", "config", "physics", "networks", "policy", "runtime", "terminal", "checkpoint", "report", "ltes"},
     {"envs", "agents"},
     {"grid", "codes"},
     {"cem"},
@@ -23,7 +24,8 @@ LAYERS = [
     {"train"},
     {"trained"},
     {"evaluate"},
-    {"adapt", "interpolate"},
+    {"atlas", "interpolate"},
+    {"adapt"},
     {"run"},
     {"cli"},
 ]

@@ -11,7 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import records
+from ear_jax import ltes, records
 from ear_jax.adapt import Search, adapt
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import UsageError
@@ -29,6 +29,10 @@ class AdaptCommand:
     """The run directory."""
     target: tuple[str, ...] = ()
     """The tasks, as in 3.6; by default the family's adaptation tasks."""
+    zero_shot: bool = False
+    """Do not search: take the code that a map of the sphere promises."""
+    save: str | None = None
+    """Keep the LTE found for the one target under this name; other commands take it as --lte NAME."""
     epochs: int = 10
     """Epochs of the search."""
     elites: int = 6
@@ -52,6 +56,10 @@ def main(words: list[str]) -> None:
             raise UsageError(f"--{name} {getattr(command, name)} is too small; it must be at least 1")
     if command.samples < 0 or not command.sigma > 0:
         raise UsageError("--samples must be at least 0 and --sigma above 0")
+    if command.save is not None:
+        ltes.check_name(command.save)
+        if len(command.target) != 1:
+            raise UsageError(f"--save {command.save} names one LTE; give one --target")
     enable_cache()
     trained = load(command.run)
     family = trained.program.family
@@ -60,22 +68,44 @@ def main(words: list[str]) -> None:
     if not len(tasks):
         raise UsageError(f"{family.name} has no adaptation tasks of its own; name some with --target")
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
-    with phase(f"searching {len(tasks)} × {search.epochs} × {search.candidates} episodes"):
-        document = adapt(trained, tasks, search, command.episodes, command.seed)
+    if command.zero_shot and any(task.target is None for task in tasks.tasks):
+        raise UsageError(f"--zero-shot answers tasks that command a {family.commanded}")
+    what = (
+        "mapping the sphere" if command.zero_shot else f"searching {len(tasks)} × {search.epochs} × {search.candidates}"
+    )
+    with phase(what):
+        document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
     records.write_json(command.run / "adaptation.json", {**document, **records.provenance()})
+    if command.save is not None:
+        ltes.save(command.run, command.save, tasks.names[0], [task["lte"] for task in document["tasks"]])
     if command.json:
         print(json.dumps(document))
     else:
-        _print(document)
+        _print(document, family.unit)
 
 
-def _print(document: dict[str, Any]) -> None:
-    table = Table(title=f"{document['env_steps']:,} env steps in {document['seconds']:.0f} s", title_justify="left")
-    for heading in ("task", "seed", "best: 1st", "3rd", "last epoch", "judged again", "LTE"):
+def _print(document: dict[str, Any], unit: str) -> None:
+    searched = bool(document["env_steps"])
+    title = f"{document['env_steps']:,} env steps of search, {document['seconds']:.0f} s" if searched else None
+    table = Table(title=title, title_justify="left")
+    for heading in ("task", "seed"):
         table.add_column(heading)
+    for heading in ("1st best", "3rd", "last", "again", unit) if searched else ():
+        table.add_column(heading, justify="right")
+    for heading in ("no search", unit):
+        table.add_column(heading, justify="right")
+    table.add_column("LTE", no_wrap=True)
     for task in document["tasks"]:
-        epochs = task["epochs"]
-        best = [f"{epochs[min(epoch, len(epochs) - 1)]['best_of_epoch']:.1f}" for epoch in (0, 2, len(epochs) - 1)]
-        code = " ".join(f"{number:.2f}" for number in task["lte"])
-        table.add_row(task["name"], str(task["seed"]), *best, f"{epochs[-1]['reevaluated']:.1f}", code)
+        cells = [task["name"], str(task["seed"])]
+        if searched:
+            epochs = task["epochs"]
+            cells += [
+                f"{epochs[min(epoch, len(epochs) - 1)]['best_of_epoch']:.1f}" for epoch in (0, 2, len(epochs) - 1)
+            ]
+            cells += [f"{epochs[-1]['reevaluated']:.1f}", f"{epochs[-1]['achieved']:.2f}"]
+        answer = task["zero_shot"]
+        cells += [f"{answer['reevaluated']:.1f}", f"{answer['achieved']:.2f}"] if answer else ["–", "–"]
+        table.add_row(*cells, " ".join(f"{number:.2f}" for number in task["lte"]))
     Console(highlight=False).print(table)
+    if searched:
+        print("best of the 1st, 3rd and last epoch; the last judged again by fresh episodes; what these achieved")

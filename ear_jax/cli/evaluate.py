@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import records
+from ear_jax import ltes, records
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import UsageError
-from ear_jax.evaluate import evaluate
+from ear_jax.evaluate import evaluate, evaluate_code
 from ear_jax.report.figures import draw_run
 from ear_jax.runtime import enable_cache
 from ear_jax.trained import load
@@ -22,12 +23,14 @@ from ear_jax.trained import load
 
 @dataclass(frozen=True)
 class EvaluateCommand:
-    """Play a run's newest policy on its training tasks, without exploration."""
+    """Play a run's newest policy on its training tasks, or under any LTE, without exploration."""
 
     run: tyro.conf.Positional[Path]
     """The run directory."""
     episodes: int = 3
     """Episodes per task."""
+    lte: tuple[str, ...] = ()
+    """Instead of the tasks' LTEs: one saved by `ear adapt --save`, or its numbers."""
     seed: int = 0
     """Seeds the starts, which no training step has seen."""
     json: bool = False
@@ -39,12 +42,29 @@ def main(words: list[str]) -> None:
     if command.episodes < 1:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
     enable_cache()
-    evaluation = evaluate(load(command.run), command.episodes, command.seed)
+    trained = load(command.run)
+    if command.lte:
+        seeds, size = trained.program.config.seeds, trained.program.agent.code_size
+        codes = jnp.array(ltes.find(command.run, command.lte, seeds, size))
+        _print_code(evaluate_code(trained, codes, command.episodes, command.seed), command.json)
+        return
+    evaluation = evaluate(trained, command.episodes, command.seed)
     keep_evaluation(command.run, evaluation)
     if command.json:
         print(json.dumps(evaluation))
     else:
         print_evaluation(evaluation)
+
+
+def _print_code(document: dict[str, Any], as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(document))
+        return
+    quantity, unit = document["commanded"]["outcome"], document["commanded"]["unit"]
+    for one in document["seeds"]:
+        others = ", ".join(f"{name} {value:.2f}" for name, value in one["outcome"].items() if name != quantity)
+        lasted = f"episodes of {one['length']:.0f} steps"
+        print(f"seed {one['seed']}: {quantity} {one['outcome'][quantity]:.2f} {unit}, {others}, {lasted}")
 
 
 def keep_evaluation(run: Path, evaluation: dict[str, Any]) -> list[Path]:

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import records
+from ear_jax import ltes, records
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import UsageError
-from ear_jax.interpolate import adjacent_pairs, interpolate, play_blends
+from ear_jax.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.runtime import enable_cache
 from ear_jax.terminal import phase
 from ear_jax.trained import Trained, load
@@ -29,7 +30,7 @@ class InterpolateCommand:
     run: tyro.conf.Positional[Path]
     """The run directory."""
     between: tuple[str, str] | None = None
-    """The two tasks, as in 2 3."""
+    """Two tasks it was trained on, as in 2 3, or LTEs saved by `ear adapt --save`."""
     all_pairs: bool = False
     """Every two neighbouring tasks, midway."""
     target: float | None = None
@@ -56,7 +57,11 @@ def main(words: list[str]) -> None:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
     enable_cache()
     trained = load(command.run)
-    pairs = adjacent_pairs(trained.program) if command.all_pairs else [_pair(trained, *(command.between or ()))]
+    family = trained.program.family
+    if command.between:
+        pairs = [find_pair(trained, command.run, *command.between)]
+    else:
+        pairs = adjacent_pairs(trained_ends(trained), family)
     with phase("rolling out"):
         if command.beta:
             document = _at_betas(trained, pairs, command)
@@ -67,27 +72,43 @@ def main(words: list[str]) -> None:
     if command.json:
         print(json.dumps(document))
     else:
-        _print(document, trained.program.family.unit)
+        _print(document, family.unit)
 
 
-def _pair(trained: Trained, first: str, second: str) -> tuple[int, int]:
-    """Rows of two tasks that were trained on and command something."""
-    family, tasks = trained.program.family, trained.program.tasks
-    rows = tuple(tasks.index(family.parse_task(name).name) for name in (first, second))
-    for row in rows:
-        if tasks.tasks[row].target is None:
-            raise UsageError(f"task {tasks.names[row]!r} commands no {family.commanded}; see `ear compose`")
-    if rows[0] == rows[1]:
+def find_pair(trained: Trained, run: Path, first: str, second: str) -> Pair:
+    """The ends of an interpolation, each commanding something, from what a person calls them.
+
+    Raises:
+      UsageError: something not trained on or saved, that commands nothing, or twice the same.
+    """
+    ends = find_end(trained, run, first), find_end(trained, run, second)
+    for end in ends:
+        if end.target is None:
+            raise UsageError(f"{end.name!r} commands no {trained.program.family.commanded}; see `ear compose`")
+    if ends[0].name == ends[1].name:
         raise UsageError(f"--between {first} {second} names one task twice")
-    return rows[0], rows[1]
+    return ends
 
 
-def _at_betas(trained: Trained, pairs: list[tuple[int, int]], command: InterpolateCommand) -> dict[str, Any]:
+def find_end(trained: Trained, run: Path, word: str) -> End:
+    """A saved LTE by its name, or a training task."""
+    family, program = trained.program.family, trained.program
+    if word in ltes.named(run):
+        saved = ltes.lookup(run, word)
+        return End(word, family.parse_task(saved["task"]).target, np.array(saved["codes"], np.float32))
+    return trained_ends(trained)[program.tasks.index(family.parse_task(word).name)]
+
+
+def _at_betas(trained: Trained, pairs: list[Pair], command: InterpolateCommand) -> dict[str, Any]:
     achieved = play_blends(trained, pairs, command.beta, command.episodes, command.seed, command.along)
-    names, first_seed = trained.program.tasks.names, trained.program.config.seed
     return {
         "blends": [
-            {"seed": first_seed + index, "between": [names[one], names[other]], "beta": beta, "outcome": float(value)}
+            {
+                "seed": trained.program.config.seed + index,
+                "between": [one.name, other.name],
+                "beta": beta,
+                "outcome": float(value),
+            }
             for index, rows in enumerate(achieved)
             for (one, other), row in zip(pairs, rows, strict=True)
             for beta, value in zip(command.beta, row, strict=True)

@@ -14,6 +14,7 @@ COMMANDS = {
     "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks"),
     "interpolate": ("ear_jax.cli.interpolate", "do what lies between two trained tasks, or beyond them"),
     "adapt": ("ear_jax.cli.adapt", "find the codes of tasks never trained on"),
+    "map": ("ear_jax.cli.map", "draw what every place on the sphere of codes does"),
     "families": ("ear_jax.cli.families", "list the families of tasks"),
     "demo": ("ear_jax.cli.demo", "train a small agent here and now and see it run at commanded speeds"),
     "doctor": ("ear_jax.cli.doctor", "say what this installation is and whether it can work"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +29,7 @@ class AntDir(Family):
     # Median error of a step in qpos 1e-7. Its tail, 1e-2, is where a leg stands within 30° of upright: MJX turns the
     # friction pyramid there otherwise than C MuJoCo does, and no limit mends that.
     mjx_solver = (4, 8)
-    commanded, unit = "direction", "degrees"
+    commanded, unit, period = "direction", "degrees", 360.0
     options = ("lateral_weight",)
     lateral_weight = 0.0
 
@@ -83,10 +82,6 @@ class AntDir(Family):
     def achieved(self, late: Outcome, whole: Outcome) -> jax.Array:
         """The angle of where the episode ended, seen from where it began; degrees in [0, 360)."""
         return jnp.degrees(jnp.arctan2(whole["velocity_y"], whole["velocity_x"])) % 360
-
-    def difference(self, one: Any, other: Any) -> Any:
-        """The shorter way round, in [−180, 180)."""
-        return (one - other + 180) % 360 - 180
 
 
 def direction_task(angle: float) -> Task:

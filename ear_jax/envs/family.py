@@ -36,6 +36,7 @@ class Family(Env):
     bodies: tuple[str, ...] = ()  # bodies whose positions `outcome` reads
     commanded: ClassVar[str]  # the outcome that a task's target commands
     unit: ClassVar[str]  # of the target and of that outcome
+    period: ClassVar[float | None] = None  # where that quantity wraps, as directions do at 360
     episode_length: ClassVar[int] = 200  # steps; a time limit, which is no termination
 
     options: ClassVar[tuple[str, ...]] = ()  # attributes that may be set when it is made
@@ -95,8 +96,10 @@ class Family(Env):
         return late[self.commanded]
 
     def difference(self, one: Any, other: Any) -> Any:
-        """`one` − `other` in the commanded quantity, which may wrap."""
-        return one - other
+        """`one` − `other` in the commanded quantity; where that wraps, the shorter way round."""
+        if self.period is None:
+            return one - other
+        return (one - other + self.period / 2) % self.period - self.period / 2
 
     # What follows from it.
 

@@ -1,0 +1,134 @@
+"""A map of the sphere of codes: what each place makes the robot do, and so which to take for any target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ear_jax.codes import fibonacci_sphere
+from ear_jax.envs import Family
+from ear_jax.errors import UsageError
+from ear_jax.evaluate import play_codes
+from ear_jax.networks import Params
+from ear_jax.runtime import compiler_options
+from ear_jax.trained import Trained
+
+PLACES = 500  # codes played when only an answer is wanted
+FINE = 20_000  # codes the answer is chosen from, 0.025 radians apart
+MARGIN = 0.05  # of the range that was reached: how far beyond it a target may lie
+BANDWIDTHS = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3)  # radians
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """What one policy does under codes spread over the sphere."""
+
+    codes: np.ndarray  # [places, 3]
+    achieved: np.ndarray  # [places], in the commanded quantity
+    late: dict[str, np.ndarray]  # outcomes over the second half of the episodes, each [places]
+
+
+def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[Atlas]:
+    """Plays every seed's policy under codes spread evenly over the sphere.
+
+    Args:
+      trained: the run.
+      places: how many codes.
+      episodes: how many a code.
+      seed: of the starts.
+    """
+    program, codes = trained.program, fibonacci_sphere(places)
+
+    def of_seed(policy: Params, key: jax.Array) -> Any:
+        return play_codes(program, policy, jnp.asarray(codes), key, episodes)
+
+    keys = jax.random.split(jax.random.key(seed), program.config.seeds)
+    played = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))
+    late, whole = ({name: value.mean(-1) for name, value in means.items()} for means in (played.late, played.whole))
+    achieved = np.asarray(program.family.achieved(late, whole))
+    return [
+        Atlas(codes, achieved[index], {name: value[index] for name, value in late.items()})
+        for index in range(program.config.seeds)
+    ]
+
+
+def describe(trained: Trained, atlases: list[Atlas]) -> dict[str, Any]:
+    """What `ear map --json` prints: per seed every place, what was achieved there, and where the training tasks are."""
+    program, family = trained.program, trained.program.family
+    table = np.asarray(jax.vmap(program.agent.codes)(trained.policies))
+    return {
+        "commanded": {"outcome": family.commanded, "unit": family.unit, "period": family.period},
+        "seeds": [
+            {
+                "seed": program.config.seed + index,
+                "ltes": np.round(atlas.codes, 5).tolist(),
+                "achieved": np.round(atlas.achieved, 4).tolist(),
+                "outcomes": {name: np.round(value, 4).tolist() for name, value in atlas.late.items()},
+                "trained": [
+                    {"name": task.name, "target": task.target, "lte": code.tolist()}
+                    for task, code in zip(program.tasks.tasks, table[index], strict=True)
+                ],
+            }
+            for index, atlas in enumerate(atlases)
+        ],
+    }
+
+
+def place_for(atlas: Atlas, family: Family, target: float) -> tuple[np.ndarray, float]:
+    """The code [3] expected to come nearest to a target, and what it is predicted to achieve.
+
+    What a code does is estimated from the surveyed places around it, weighted by a Gaussian of their angle from it. The
+    code chosen is the one whose expected squared miss is least, bias and spread together: among codes that promise the
+    target, one amid others that keep the promise.
+    """
+    miss = family.difference(atlas.achieved, target)  # [places]
+    candidates = fibonacci_sphere(FINE)
+    bandwidth = _bandwidth(atlas, family)
+    expected = np.concatenate(
+        [
+            _weights(part, atlas.codes, bandwidth) @ np.stack([miss**2, miss], 1)
+            for part in np.array_split(candidates, 20)
+        ]
+    )
+    best = int(np.argmin(expected[:, 0]))
+    return candidates[best], float(target + expected[best, 1])
+
+
+def _bandwidth(atlas: Atlas, family: Family) -> float:
+    """The width, in radians, by which each place is best foretold from the others."""
+    apart = family.difference(atlas.achieved[None, :], atlas.achieved[:, None])  # [places, places]
+
+    def error(bandwidth: float) -> float:
+        weights = _weights(atlas.codes, atlas.codes, bandwidth, leave_out=True)
+        return float(np.mean(np.sum(weights * apart, axis=1) ** 2))
+
+    return min(BANDWIDTHS, key=error)
+
+
+def _weights(codes: np.ndarray, places: np.ndarray, bandwidth: float, leave_out: bool = False) -> np.ndarray:
+    """How much each place tells of each code, [codes, places], rows summing to one; `leave_out`: nothing of itself."""
+    angle = np.arccos(np.clip(codes @ places.T, -1, 1))
+    nearness = -0.5 * (angle / bandwidth) ** 2
+    if leave_out:
+        np.fill_diagonal(nearness, -np.inf)
+    weights = np.exp(nearness - nearness.max(axis=1, keepdims=True))
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def check_reach(atlases: list[Atlas], family: Family, target: float) -> None:
+    """Refuses a target that lies further from every surveyed code than these lie from one another.
+
+    Raises:
+      UsageError: with the range that was reached.
+    """
+    for atlas in atlases:
+        low, high = float(atlas.achieved.min()), float(atlas.achieved.max())
+        nearest = float(np.abs(family.difference(atlas.achieved, target)).min())
+        if nearest > MARGIN * (high - low):
+            raise UsageError(
+                f"no code of this run comes near {target:g} {family.unit}; they reach {low:.2f} to {high:.2f}"
+            )

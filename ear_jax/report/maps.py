@@ -1,0 +1,98 @@
+"""The sphere of codes, coloured by what each code makes the robot do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, Normalize
+
+from ear_jax.report.figures import STYLE
+
+VIEWS = ((20.0, 30.0), (20.0, 210.0))  # elevation and azimuth of the two sides of the sphere, degrees
+BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # labels
+
+
+def draw_map(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """Draws for every seed both sides of the sphere and a flat map of it; returns the paths."""
+    figures.mkdir(exist_ok=True)
+    return [
+        path
+        for one in document["seeds"]
+        for path in (
+            _draw_sphere(figures / f"sphere_seed{one['seed']}.png", one, document["commanded"]),
+            _draw_flat(figures / f"map_seed{one['seed']}.png", one, document["commanded"]),
+        )
+    ]
+
+
+def _colours(achieved: list[float], commanded: dict[str, Any]) -> tuple[Colormap, Normalize]:
+    """Speeds on a scale from the least to the most; what wraps on a circle of colours."""
+    if commanded["period"] is not None:
+        return plt.get_cmap("twilight"), Normalize(0, commanded["period"])
+    return plt.get_cmap("viridis"), Normalize(min(achieved), max(achieved))
+
+
+def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Path:
+    colours, scale = _colours(one["achieved"], commanded)
+    places, trained = np.array(one["ltes"]), np.array([task["lte"] for task in one["trained"]])
+    with plt.rc_context(STYLE):
+        figure = plt.figure(figsize=(7.0, 3.4))
+        for index, (elevation, azimuth) in enumerate(VIEWS):
+            axes: Any = figure.add_subplot(1, 2, index + 1, projection="3d", computed_zorder=False)
+            up, turn = np.radians((elevation, azimuth))
+            toward = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
+            seen = places @ toward > 0  # the far side is the other view's
+            shown = axes.scatter(*places[seen].T, c=np.array(one["achieved"])[seen], cmap=colours, norm=scale, s=14)
+            for task, code in zip(one["trained"], trained, strict=True):
+                if code @ toward > 0:
+                    axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4)
+                    axes.text(*(1.16 * code), _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=5)
+            axes.view_init(elevation, azimuth)
+            axes.set_box_aspect((1, 1, 1), zoom=1.45)
+            axes.set_axis_off()
+        bar = figure.colorbar(shown, ax=figure.axes, shrink=0.75, pad=0.02)
+        bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
+        figure.savefig(path)
+        plt.close(figure)
+    return path
+
+
+def _draw_flat(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Path:
+    colours, scale = _colours(one["achieved"], commanded)
+    with plt.rc_context(STYLE):
+        figure = plt.figure(figsize=(6.2, 3.2))
+        axes: Axes = figure.add_subplot(projection="mollweide")
+        longitude, latitude = _angles(np.array(one["ltes"]))
+        shown = axes.scatter(longitude, latitude, c=one["achieved"], cmap=colours, norm=scale, s=12, linewidths=0)
+        for task in one["trained"]:
+            where = _angles(np.array([task["lte"]]))
+            axes.scatter(*where, color="white", edgecolor="black", s=28, zorder=4)
+            axes.annotate(
+                _label(task),
+                (where[0][0], where[1][0]),
+                xytext=(4, 4),
+                textcoords="offset points",
+                fontsize=7,
+                bbox=BEHIND,
+                zorder=5,
+            )
+        axes.set(xticklabels=[], yticklabels=[], xlabel="LTE sphere, equal areas; circles: LTEs of the training tasks")
+        axes.grid(alpha=0.3)
+        bar = figure.colorbar(shown, ax=axes, shrink=0.85, pad=0.03)
+        bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
+        figure.savefig(path)
+        plt.close(figure)
+    return path
+
+
+def _angles(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Longitude and latitude, in radians, of unit vectors [n, 3]."""
+    return np.arctan2(codes[:, 1], codes[:, 0]), np.arcsin(np.clip(codes[:, 2], -1, 1))
+
+
+def _label(task: dict[str, Any]) -> str:
+    return task["name"] if task["target"] is None else f"{task['target']:g}"
