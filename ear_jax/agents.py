@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ear_jax.config import NetworkConfig
 from ear_jax.errors import unknown
-from ear_jax.networks import Params, mlp, unit
+from ear_jax.networks import Params, identity, mlp, unit
 from ear_jax.policy import Gaussian, gaussian
 
 
@@ -23,13 +23,15 @@ class Agent:
     """
 
     code_size: int
-    init_policy: Callable[[jax.Array], Params]
+    init_policy: Callable[[jax.Array], Params]  # a dictionary; its "standardiser" is applied to what all networks see
     init_critic: Callable[[jax.Array], Params]
     codes: Callable[[Params], jax.Array]  # policy parameters → table [tasks, code]
     project: Callable[[jax.Array], jax.Array]  # any vector [code] → the code nearest to it, as the unit sphere's
     code_noise: float  # σ of the noise on a code in the actor's objectives, before it is projected again
     distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
-    value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # one critic's parameters, obs, action, task
+    value: Callable[
+        [Params, jax.Array, jax.Array, jax.Array], jax.Array
+    ]  # one critic's parameters, standardised obs, action, task
 
 
 def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_noise: float) -> Agent:
@@ -59,6 +61,7 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
     def init_policy(key: jax.Array) -> Params:
         key_encoder, key_task, key_decoder = jax.random.split(key, 3)
         return {
+            "standardiser": identity(obs_size),
             "encoder": encoder.init(key_encoder),
             "task_encoder": task_encoder.init(key_task),
             "decoder": decoder.init(key_decoder),
@@ -68,7 +71,7 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
         return jax.vmap(lambda task: on_lte_sphere(task_encoder.apply(policy["task_encoder"], task)))(jnp.eye(tasks))
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
-        lse = on_lse_sphere(encoder.apply(policy["encoder"], obs))
+        lse = on_lse_sphere(encoder.apply(policy["encoder"], policy["standardiser"](obs)))
         return gaussian(decoder.apply(policy["decoder"], jnp.concatenate([lse, code])))
 
     def value(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:

@@ -33,6 +33,8 @@ class NetworkConfig:
     """Put the LTE on its unit sphere."""
     critic_layer_norm: bool = False
     """LayerNorm in the critics."""
+    standardise_obs: bool = False
+    """Show the networks observations in standard deviations from the mean of replay."""
     initialiser: Literal["authors", "fan_in"] = "authors"
     """Weights as in the authors' code, or uniform by fan-in."""
 
@@ -52,6 +54,8 @@ class SacConfig:
     """σ of the noise on the LTE in the actor's objectives; 0 is the ablation."""
     reward_scale: float = 1.0
     """What rewards are multiplied by in the critics' targets."""
+    initial_temperature: float = 1.0
+    """The entropy's weight before it is learnt."""
     max_grad_norm: float = 10.0
     """Global norm to which each network's gradient is clipped."""
 
@@ -132,9 +136,10 @@ _FAST: dict[str, Any] = {
         "decoder_layers": 2,
         "critic_layers": 2,
         "critic_layer_norm": True,
+        "standardise_obs": True,
         "initialiser": "fan_in",
     },
-    "sac": {"lr": 1e-3, "discount": 0.98, "batch_size": 480, "reward_scale": 0.1},
+    "sac": {"lr": 1e-3, "discount": 0.98, "batch_size": 480, "reward_scale": 0.1, "initial_temperature": 0.01},
     "collect": {"envs": 8, "steps": 25, "stagger": True},
     "replay": {"share_experience": True},
 }
@@ -254,6 +259,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "sac.discount": (0.0, 1.0),
     "sac.tau": (0.0, 1.0),
     "sac.reward_scale": (0.0, 1e6),
+    "sac.initial_temperature": (0.0, 1e6),
     "sac.max_grad_norm": (0.0, 1e9),
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -67,7 +67,7 @@ class Learner:
         key_policy, key_critics = jax.random.split(key)
         policy = self.agent.init_policy(key_policy)
         critics = jax.vmap(self.agent.init_critic)(jax.random.split(key_critics, CRITICS))
-        log_temperature = jnp.zeros(())
+        log_temperature = jnp.log(jnp.float32(self.config.sac.initial_temperature))
         return LearnerState(
             policy=policy,
             critics=critics,
@@ -77,6 +77,12 @@ class Learner:
             critic_optimiser=jax.vmap(self.optimiser.init)(critics),
             temperature_optimiser=self.optimiser.init(log_temperature),
         )
+
+    def observe(self, state: LearnerState, buffer: Replay) -> LearnerState:
+        """Standardises by what replay holds, where the configuration asks for it."""
+        if not self.config.network.standardise_obs:
+            return state
+        return replace(state, policy={**state.policy, "standardiser": replay.standardiser(buffer)})
 
     def draw(self, key: jax.Array, updates: int) -> Draws:
         """The randomness of `updates` updates, each leaf [updates, n, …]."""
@@ -110,14 +116,15 @@ class Learner:
         batch = self._batch(buffer, draws)
         temperature = jnp.exp(state.log_temperature)
         target = self._target(state, batch, draws.next)
+        obs = state.policy["standardiser"](batch.obs)  # as critics see it
 
         def critic_objective(critics):
-            values = losses.q_values(critics, self.agent, batch.obs, batch.action, batch.task, self.task_count)
+            values = losses.q_values(critics, self.agent, obs, batch.action, batch.task, self.task_count)
             return losses.critic_loss(values, target), values
 
         def actor_objective(policy):
             action, log_prob = losses.sample_policy(policy, self.agent, batch.obs, batch.task, draws.now)
-            value = losses.q_values(state.critics, self.agent, batch.obs, action, batch.task, self.task_count)
+            value = losses.q_values(state.critics, self.agent, obs, action, batch.task, self.task_count)
             return losses.actor_loss(value, log_prob, temperature), log_prob
 
         (critic_loss, values), critic_grad = jax.value_and_grad(critic_objective, has_aux=True)(state.critics)
@@ -164,7 +171,8 @@ class Learner:
 
     def _target(self, state: LearnerState, batch: Batch, noise: Noise) -> jax.Array:
         action, log_prob = losses.sample_policy(state.policy, self.agent, batch.next_obs, batch.task, noise)
-        value = losses.q_values(state.target_critics, self.agent, batch.next_obs, action, batch.task, self.task_count)
+        next_obs = state.policy["standardiser"](batch.next_obs)
+        value = losses.q_values(state.target_critics, self.agent, next_obs, action, batch.task, self.task_count)
         temperature = jnp.broadcast_to(jnp.exp(state.log_temperature), log_prob.shape)
         return losses.td_target(batch, value, log_prob, temperature, self.config.sac.discount)
 

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 Params = Any
 Initialiser = Literal["authors", "fan_in"]
@@ -60,6 +61,23 @@ def mlp(size: int, widths: tuple[int, ...], out: int, initialiser: Initialiser, 
     return Network(
         lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
     )
+
+
+@struct.dataclass
+class Standardiser:
+    """Where observations lie and how far they spread; part of a policy's parameters, and not learnt by gradients."""
+
+    mean: jax.Array  # [obs]
+    scale: jax.Array  # [obs], 1 / standard deviation
+
+    def __call__(self, obs: jax.Array) -> jax.Array:
+        """An observation [obs], or many [n, obs], in standard deviations from the mean."""
+        return (obs - jax.lax.stop_gradient(self.mean)) * jax.lax.stop_gradient(self.scale)
+
+
+def identity(size: int) -> Standardiser:
+    """Leaves observations [size] as they are."""
+    return Standardiser(jnp.zeros(size), jnp.ones(size))
 
 
 def unit(x: jax.Array) -> jax.Array:

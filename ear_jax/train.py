@@ -139,9 +139,10 @@ def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metric
     """One epoch of one seed, and its scalars."""
     key_collect, key_update, key_later = jax.random.split(state.key, 3)
     state, collected = _collect(program, state, key_collect)
+    learner = program.learner.observe(state.learner, state.replay)
     draws = program.learner.draw(key_update, program.config.sac.updates)
     learner, watched = jax.lax.scan(
-        lambda learner, draws: program.learner.update(learner, state.replay, draws), state.learner, draws
+        lambda learner, draws: program.learner.update(learner, state.replay, draws), learner, draws
     )
     state = replace(state, learner=learner, key=key_later, epoch=state.epoch + 1)
     return state, {**jax.tree.map(jnp.mean, watched), **collected}

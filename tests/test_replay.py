@@ -72,3 +72,25 @@ def test_invalid_transitions_leave_no_trace():
     more = replay.add(buffer, transitions(3, 3))
     assert more.size.tolist() == [CAPACITY, CAPACITY, 6]
     assert 101 not in numbers(more, 0)
+
+
+def holding(obs: np.ndarray, added: list[int]) -> replay.Replay:
+    """Rings [tasks, capacity] of observations [tasks, capacity, obs] and nothing else."""
+    nothing = jnp.zeros(obs.shape[:2])
+    return replay.Replay(replay.Experience(jnp.asarray(obs), nothing, nothing, {}, nothing), jnp.array(added))
+
+
+def test_standardiser_is_of_what_rings_hold():
+    seen = np.random.default_rng(0).normal(3.0, 2.0, size=(2, 8, 2)).astype(np.float32)
+    found = replay.standardiser(holding(seen, added=[5, 20]))  # the first ring is not full, the second overwritten
+    expected = np.concatenate([seen[0, :5], seen[1]])
+    np.testing.assert_allclose(found.mean, expected.mean(0), rtol=1e-5)
+    np.testing.assert_allclose(found.scale, 1 / np.sqrt(expected.var(0) + 1e-4), rtol=1e-5)
+    np.testing.assert_allclose(found(jnp.asarray(expected)).std(0), 1, atol=1e-3)
+
+
+def test_standardiser_of_long_rings_goes_by_a_sample():
+    capacity = 3 * replay.SAMPLE
+    ramp = np.arange(capacity, dtype=np.float32)[None, :, None]
+    found = replay.standardiser(holding(ramp, added=[capacity]))
+    np.testing.assert_allclose(found.mean, (capacity - 3) / 2, rtol=1e-5)
