@@ -18,6 +18,8 @@ from ear_jax.policy import Gaussian, gaussian
 class Agent:
     """A method as functions; obs is [obs], action [act], code [code], task a one-hot [tasks], all of one item.
 
+    A critic's obs comes standardised; the policy standardises for itself, with what is among its parameters.
+
     A code is a row of the code table, and the policy knows a task by nothing else: interpolation, composition and
     search only make new rows.
     """
@@ -29,9 +31,8 @@ class Agent:
     project: Callable[[jax.Array], jax.Array]  # any vector [code] → the code nearest to it, as the unit sphere's
     code_noise: float  # σ of the noise on a code in the actor's objectives, before it is projected again
     distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
-    value: Callable[
-        [Params, jax.Array, jax.Array, jax.Array], jax.Array
-    ]  # one critic's parameters, standardised obs, action, task
+    embed: Callable[[Params, jax.Array], jax.Array] | None  # policy parameters, obs → LSE, where there is one
+    value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # a critic's parameters, obs, action, task
 
 
 def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_noise: float) -> Agent:
@@ -70,9 +71,11 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
     def codes(policy: Params) -> jax.Array:
         return jax.vmap(lambda task: on_lte_sphere(task_encoder.apply(policy["task_encoder"], task)))(jnp.eye(tasks))
 
+    def embed(policy: Params, obs: jax.Array) -> jax.Array:
+        return on_lse_sphere(encoder.apply(policy["encoder"], policy["standardiser"](obs)))
+
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
-        lse = on_lse_sphere(encoder.apply(policy["encoder"], policy["standardiser"](obs)))
-        return gaussian(decoder.apply(policy["decoder"], jnp.concatenate([lse, code])))
+        return gaussian(decoder.apply(policy["decoder"], jnp.concatenate([embed(policy, obs), code])))
 
     def value(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
         return critic.apply(params, jnp.concatenate([obs, action, task]))[0]
@@ -85,6 +88,7 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
         project=on_lte_sphere,
         code_noise=lte_noise,
         distribution=distribution,
+        embed=embed,
         value=value,
     )
 

@@ -34,7 +34,7 @@ def obedient(codes: jax.Array) -> Agent:
     def nothing(*_):
         return None
 
-    return Agent(3, nothing, nothing, lambda policy: codes, unit, 0.0, distribution, nothing)
+    return Agent(3, nothing, nothing, lambda policy: codes, unit, 0.0, distribution, None, nothing)
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ LAYERS = [
     {"train"},
     {"trained"},
     {"evaluate"},
-    {"atlas", "interpolate"},
+    {"atlas", "interpolate", "sensing"},
     {"adapt"},
     {"run"},
     {"cli"},

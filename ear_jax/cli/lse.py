@@ -1,0 +1,54 @@
+"""`ear lse RUN`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from ear_jax import records
+from ear_jax.cli.arguments import parse
+from ear_jax.report.signals import draw_signals
+from ear_jax.runtime import enable_cache
+from ear_jax.sensing import describe, sense
+from ear_jax.trained import load
+
+
+@dataclass(frozen=True)
+class LseCommand:
+    """Compare what the policy's state encoder says along a gait with the raw state: main directions and periodicity."""
+
+    run: tyro.conf.Positional[Path]
+    """The run directory."""
+    task: str | None = None
+    """A task it was trained on, as in 2; by default the middle one."""
+    seed: int = 0
+    """Seeds the start."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(LseCommand, words, "lse")
+    enable_cache()
+    trained = load(command.run)
+    names = trained.program.tasks.names
+    task = names[len(names) // 2] if command.task is None else trained.program.family.parse_task(command.task).name
+    document = describe(trained, task, sense(trained, task, command.seed))
+    records.write_json(command.run / "lse.json", {**document, **records.provenance()})
+    pictures = draw_signals(command.run / "figures", document)
+    if command.json:
+        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
+        return
+    for one in document["seeds"]:
+        for name, what in (("state", "raw state"), ("lse", "LSE")):
+            signal = one[name]
+            share = sum(signal["explained"])
+            repeats = (
+                f"repeats every {signal['period']:.2f} s with autocorrelation {signal['autocorrelation_peak']:.2f}"
+            )
+            said = repeats if signal["period"] else "does not repeat"
+            print(f"seed {one['seed']}, {what}: {said}; two main directions hold {share:.0%} of its variance")
+    print("pictures: " + ", ".join(str(path) for path in pictures))
