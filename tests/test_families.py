@@ -182,10 +182,6 @@ def test_step_equals_the_tables(name, options):
         assert 0.05 < np.mean(margin < 0) < 0.95, "both kinds occur"
 
 
-# What may be the error of qpos and of qvel: median, 99th percentile, worst. Measured over 2,000 states, solver limits
-# (4, 8), a fifth to a third of these; with (8, 16) and (20, 20) the same. The ant's tail is where it lies on its back:
-# MJX finds other contacts there than C MuJoCo, whatever the solver does.
-CHEETAH = ((5e-7, 1e-5, 3e-5), (2e-5, 1e-3, 3e-3))
 MJX_TOLERANCES = {  # errors of qpos and of qvel: median, 99th percentile, worst; about 4 times what was measured
     "halfcheetah-vel": ((5e-7, 2e-5, 2e-4), (2e-5, 2e-3, 2e-2)),  # 1.2e-7, 5.4e-6, 3.8e-5; 4.9e-6, 4.5e-4, 4.9e-3
     "ant-dir": ((5e-7, 5e-2, 8e-2), (6e-6, 5.0, 8.0)),  # 1.2e-7, 1.0e-2, 1.7e-2; 1.4e-6, 1.4, 1.7

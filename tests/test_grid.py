@@ -93,21 +93,6 @@ def test_family_is_a_brax_environment():
     assert float(after.metrics["velocity"]) == pytest.approx(velocity, abs=1e-6)
 
 
-def test_braxs_own_wrappers_run_and_cannot_replay_one_start():
-    from brax.envs.wrappers.training import wrap
-
-    env = wrap(HalfCheetahVel("native"), episode_length=3)
-    state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 4))  # Brax knows no typed keys
-    step = jax.jit(env.step)
-    starts = [np.asarray(state.obs)]
-    for _ in range(6):
-        state = step(state, jnp.zeros((4, 6)))
-        if state.done.all():
-            starts.append(np.asarray(state.obs))
-    assert len(starts) == 3
-    assert len(np.unique(np.concatenate(starts)[:, 0])) == 12
-
-
 def test_play_counts_the_first_episode_only(slider):
     """With μ = 0 the mass stands: each step's reward is −0.25, for 4 steps; one that fails at once gets one."""
     agent = type("Still", (), {"distribution": staticmethod(lambda policy, code, obs: still)})
