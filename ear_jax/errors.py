@@ -19,4 +19,4 @@ def unknown(kind: str, word: str, known: Iterable[str]) -> UsageError:
     known = sorted(known)
     near = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.4)
     guess = f"; did you mean {near[0]!r}?" if near else ""
-    return UsageError(f"unknown {kind} {word!r}{guess} (there are: {', '.join(known)})")
+    return UsageError(f"unknown {kind} {word!r}{guess} (there are: {', '.join(known) or 'none'})")

@@ -12,7 +12,7 @@ from flax import struct
 from ear_jax import replay
 from ear_jax.agents import Agent, make_agent
 from ear_jax.config import Config, check
-from ear_jax.envs import Family, make_family
+from ear_jax.envs import Family, find_task, make_family
 from ear_jax.grid import Cell, Grid, Transition
 from ear_jax.learner import Learner, LearnerState
 from ear_jax.replay import Experience, Replay
@@ -61,7 +61,7 @@ def make_program(config: Config) -> Program:
       RunError: the engine cannot run here.
     """
     family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
-    tasks = task_set([family.parse_task(name) for name in config.tasks]) if config.tasks else family.training_tasks()
+    tasks = task_set([find_task(family, name) for name in config.tasks]) if config.tasks else family.training_tasks()
     check(config, len(tasks))
     sizes = (family.observation_size, family.action_size, len(tasks))
     agent = make_agent(config.agent, *sizes, config.network, config.sac.lte_noise)

@@ -14,6 +14,7 @@ from rich.table import Table
 from ear_jax import ltes, records
 from ear_jax.adapt import Search, adapt
 from ear_jax.cli.arguments import parse
+from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.runtime import enable_cache
 from ear_jax.tasks import task_set
@@ -63,7 +64,7 @@ def main(words: list[str]) -> None:
     enable_cache()
     trained = load(command.run)
     family = trained.program.family
-    named = [family.parse_task(text) for text in command.target]
+    named = [find_task(family, text) for text in command.target]
     tasks = task_set(named) if named else family.adaptation_tasks(command.seed)
     if not len(tasks):
         raise UsageError(f"{family.name} has no adaptation tasks of its own; name some with --target")

@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from dataclasses import dataclass
 from typing import Any
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
 from ear_jax.cli.arguments import parse
 from ear_jax.envs import FAMILIES, make_family
+from ear_jax.envs.registry import offered_families
 from ear_jax.physics import ENGINES
 
 
 @dataclass(frozen=True)
 class FamiliesCommand:
-    """List the families of tasks."""
+    """List the families of tasks, or check those that are named."""
 
+    names: tyro.conf.Positional[tuple[str, ...]] = ()
+    """Families, as `ear train` takes them; by default those of this package and of those installed."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
 
 def main(words: list[str]) -> None:
     command = parse(FamiliesCommand, words, "families")
-    found = [describe(name) for name in FAMILIES]
+    found = [describe(name) for name in command.names or (*FAMILIES, *offered_families())]
     if command.json:
         print(json.dumps({"families": found}))
         return
@@ -45,7 +50,7 @@ def describe(name: str) -> dict[str, Any]:
     family = make_family(name)
     return {
         "name": name,
-        "summary": (type(family).__doc__ or "").strip().splitlines()[0],
+        "summary": (inspect.getdoc(type(family)) or "").partition("\n")[0],
         "tasks": family.training_tasks().names,
         "commanded": family.commanded,
         "unit": family.unit,

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from ear_jax import ltes, records
 from ear_jax.cli.arguments import parse
+from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.runtime import enable_cache
@@ -95,8 +96,8 @@ def find_end(trained: Trained, run: Path, word: str) -> End:
     family, program = trained.program.family, trained.program
     if word in ltes.named(run):
         saved = ltes.lookup(run, word)
-        return End(word, family.parse_task(saved["task"]).target, np.array(saved["codes"], np.float32))
-    return trained_ends(trained)[program.tasks.index(family.parse_task(word).name)]
+        return End(word, find_task(family, saved["task"]).target, np.array(saved["codes"], np.float32))
+    return trained_ends(trained)[program.tasks.index(find_task(family, word).name)]
 
 
 def _at_betas(trained: Trained, pairs: list[Pair], command: InterpolateCommand) -> dict[str, Any]:

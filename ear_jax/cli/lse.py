@@ -10,6 +10,7 @@ import tyro
 
 from ear_jax import records
 from ear_jax.cli.arguments import parse
+from ear_jax.envs import find_task
 from ear_jax.report.signals import draw_signals
 from ear_jax.runtime import enable_cache
 from ear_jax.sensing import describe, sense
@@ -35,7 +36,7 @@ def main(words: list[str]) -> None:
     enable_cache()
     trained = load(command.run)
     names = trained.program.tasks.names
-    task = names[len(names) // 2] if command.task is None else trained.program.family.parse_task(command.task).name
+    task = names[len(names) // 2] if command.task is None else find_task(trained.program.family, command.task).name
     document = describe(trained, task, sense(trained, task, command.seed))
     records.write_json(command.run / "lse.json", {**document, **records.provenance()})
     pictures = draw_signals(command.run / "figures", document)

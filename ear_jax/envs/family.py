@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from ear_jax.errors import UsageError
 from ear_jax.physics import Motion, Physics, make_engine
 from ear_jax.physics.models import load_model
 from ear_jax.quiet import Env, State
@@ -26,7 +27,8 @@ class Family(Env):
     model and the methods marked abstract, and never branches on a task.
 
     As a Brax environment: `State.pipeline_state` is a `Physics`, `State.metrics` the outcome, `State.info["task"]` the
-    task's numbers and `State.info["key"]` the stream its later resets are drawn from. `reset` uses `self.task`.
+    task's numbers and `State.info["key"]` the stream its later resets are drawn from. `reset` starts `task`, by default
+    the first training task.
     """
 
     name: ClassVar[str]
@@ -45,8 +47,10 @@ class Family(Env):
         for option, value in options.items():
             setattr(self, option, value)
         self.model = self.load()
+        if not isinstance(self.model, mujoco.MjModel):
+            raise UsageError(f"load() must return a mujoco.MjModel, and returns {type(self.model).__name__}")
         self.engine = make_engine(engine, self.model, self.substeps, self.bodies, self.mjx_solver)
-        self.task = task or self.training_tasks().tasks[0]
+        self.task = task
         self.dt = float(self.model.opt.timestep) * self.substeps  # seconds in one environment step
 
     # What a family says.
@@ -120,7 +124,8 @@ class Family(Env):
         return State(physics, self.observe(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
 
     def reset(self, rng: jax.Array) -> State:
-        return self.start(rng, {name: jnp.float32(value) for name, value in self.task.params.items()})
+        task = self.task or self.training_tasks().tasks[0]
+        return self.start(rng, {name: jnp.float32(value) for name, value in task.params.items()})
 
     def step(self, state: State, action: jax.Array) -> State:
         motion = self.engine.step(state.pipeline_state, action)
@@ -129,7 +134,7 @@ class Family(Env):
             pipeline_state=motion.after,
             obs=self.observe(motion.after),
             reward=self.reward(outcome, state.info["task"]),
-            done=self.terminated(motion.after).astype(jnp.float32),
+            done=jnp.asarray(self.terminated(motion.after), jnp.float32),
             metrics={**state.metrics, **outcome},
             info=_with_fresh_start(self, state.info),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,13 @@ from ear_jax.envs.family import Family
 from ear_jax.envs.halfcheetah_run_jump import HalfCheetahRunJump
 from ear_jax.envs.halfcheetah_vel import HalfCheetahVel
 from ear_jax.envs.hopper_vel import HopperVel
-from ear_jax.envs.validation import check_family
+from ear_jax.envs.user_code import source_file, user_code
+from ear_jax.envs.validation import check_class, check_family, check_task
 from ear_jax.envs.walker_vel import WalkerVel
 from ear_jax.errors import UsageError, unknown
+from ear_jax.physics import choose_engine
 from ear_jax.quiet import register_environment
+from ear_jax.tasks import Task
 
 FAMILIES: dict[str, type[Family]] = {
     family.name: family for family in (HalfCheetahVel, AntDir, HopperVel, WalkerVel, HalfCheetahRunJump)
@@ -37,10 +40,18 @@ def find_family(name: str) -> type[Family]:
         return FAMILIES[name]
     if ":" in name:
         return _from_file(*name.rsplit(":", 1))
-    offered = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+    offered = offered_families()
     if name not in offered:
         raise unknown("family", name, (*FAMILIES, *offered))
-    return offered[name].load()
+    with user_code(f"family {name!r} cannot be loaded from {offered[name].value}", None):
+        kind = offered[name].load()
+    check_class(kind, name)
+    return kind
+
+
+def offered_families() -> dict[str, EntryPoint]:
+    """What installed packages offer, by name."""
+    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 def make_family(name: str, engine: str = "auto", **options: Any) -> Family:
@@ -60,9 +71,27 @@ def make_family(name: str, engine: str = "auto", **options: Any) -> Family:
     for option in given:
         if option not in kind.options:
             raise UsageError(f"{name} has no setting {option!r} (there are: {', '.join(kind.options) or 'none'})")
-    family = kind(engine=engine, **given)
-    check_family(family)
+    engine = choose_engine(engine)
+    try:
+        with user_code("it cannot be made", source_file(kind)):
+            family = kind(engine=engine, **given)
+            check_family(family)
+    except UsageError as error:
+        raise UsageError(f"{name}: {error}") from error
     return family
+
+
+def find_task(family: Family, text: str) -> Task:
+    """The task of a family that a person means by a word.
+
+    Raises:
+      UsageError: there is none, or one that the family's own tasks cannot stand beside.
+    """
+    source = f"{family.name}: parse_task({text!r})"
+    with user_code(f"{source} fails", source_file(type(family))):
+        task = family.parse_task(text)
+    check_task(task, family.training_tasks().tasks[0], source)
+    return task
 
 
 def _from_file(path: str, class_name: str) -> type[Family]:
@@ -73,16 +102,14 @@ def _from_file(path: str, class_name: str) -> type[Family]:
         raise UsageError(f"{path} is no Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look their own module up
-    try:
+    with user_code(f"{path} cannot be run", spec.origin):
         spec.loader.exec_module(module)
-    except Exception as error:
-        del sys.modules[spec.name]
-        raise UsageError(f"{path} cannot be run: {type(error).__name__}: {error}".splitlines()[0]) from error
-    found = {name: kind for name, kind in vars(module).items() if _is_family(kind)}
-    if class_name not in found:
-        raise unknown("family", class_name, found)
-    return found[class_name]
+    if class_name not in vars(module):
+        raise unknown("family", class_name, [name for name, kind in vars(module).items() if _is_family(kind)])
+    kind = getattr(module, class_name)
+    check_class(kind, f"{path}:{class_name}")
+    return kind
 
 
 def _is_family(kind: Any) -> bool:
-    return isinstance(kind, type) and issubclass(kind, Family) and not getattr(kind, "__abstractmethods__", None)
+    return isinstance(kind, type) and issubclass(kind, Family) and not kind.__abstractmethods__

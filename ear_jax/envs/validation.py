@@ -1,7 +1,9 @@
-"""Refuses a family that cannot be trained on, by shapes alone, before anything is compiled."""
+"""Refuses a family that cannot be trained on, in one line and before training is compiled."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -9,48 +11,149 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax.envs.family import Family
-from ear_jax.errors import UsageError
-from ear_jax.physics import Motion
+from ear_jax.envs.user_code import source_file, user_code
+from ear_jax.errors import UsageError, unknown
+from ear_jax.physics import Motion, Physics
+from ear_jax.tasks import Task, TaskSet, task_set
+
+# An evaluation writes the first two beside an episode's outcomes, Brax's wrappers the others.
+RESERVED = ("return", "length", "reward", "sum_reward")
+
+
+def check_class(kind: Any, name: str) -> None:
+    """Raises UsageError, one line, for what is no family or lacks a part of one."""
+    if not (isinstance(kind, type) and issubclass(kind, Family)):
+        raise UsageError(f"{name} is no family: it must be a class derived from ear_jax.envs.Family")
+    if kind.__abstractmethods__:
+        methods = ", ".join(f"{method}()" for method in sorted(kind.__abstractmethods__))
+        raise UsageError(f"{name} does not define {methods}")
+    default_load = kind.load is Family.load
+    for attribute, (holds, wanted) in ({**_ATTRIBUTES, **_MODEL} if default_load else _ATTRIBUTES).items():
+        if not hasattr(kind, attribute):
+            raise UsageError(f"{name} does not define {attribute}; it must be {wanted}")
+        if not holds(getattr(kind, attribute)):
+            raise UsageError(f"{name}: {attribute} must be {wanted}, and is {getattr(kind, attribute)!r}")
 
 
 def check_family(family: Family) -> None:
     """Raises UsageError, one line, with what the first fault is and what is expected."""
-    name, tasks = family.name, family.training_tasks()
-    for task in tasks.tasks:
-        if task.params.keys() != tasks.tasks[0].params.keys():
-            raise UsageError(
-                f"{name}: tasks {tasks.names[0]!r} and {task.name!r} have different numbers in their params"
-            )
-        if not all(np.ndim(value) == 0 and np.isfinite(value) for value in task.params.values()):
-            raise UsageError(f"{name}: the params of task {task.name!r} must be finite numbers, and are {task.params}")
-    physics = _try(family, "initial", family.initial, jax.random.key(0))
-    sizes = {"qpos": family.model.nq, "qvel": family.model.nv, "warmstart": family.model.nv}
-    for field, size in sizes.items():
-        _expect(name, f"initial().{field}", getattr(physics, field), (size,))
-    obs = _try(family, "observe", family.observe, physics)
-    if len(obs.shape) != 1:
-        raise UsageError(f"{name}: observe() must be a vector, and has shape {obs.shape}")
+    tasks = _check_task_sets(family)
+    if not family.action_size:
+        raise UsageError("the model has no actuators to act with")
+    physics = _traced(family, "initial")(jax.random.key(0))
+    if not isinstance(physics, Physics):
+        raise UsageError(f"initial() must return a Physics, and returns {_kind(physics)}")
+    for field, size in {"qpos": family.model.nq, "qvel": family.model.nv, "warmstart": family.model.nv}.items():
+        _expect(f"initial().{field}", getattr(physics, field), (size,), "float32")
+    _expect("observe()", _traced(family, "observe")(physics), None, "float32")
+    _expect("terminated()", _traced(family, "terminated")(physics), (), "bool")
     motion = Motion(physics, jnp.zeros(family.action_size), physics, jnp.zeros((len(family.bodies), 3)))
-    outcome = _try(family, "outcome", family.outcome, motion)
+    outcome = _traced(family, "outcome")(motion)
+    _check_outcome(family, outcome)
+    reward = _traced(family, "reward")
+    for task in tasks.tasks:
+        _expect(f"reward() of task {task.name!r}", reward(outcome, task.params), (), "float32")
+    _expect("achieved()", _traced(family, "achieved")(outcome, outcome), ())
+
+
+def check_task(task: Any, like: Any, source: str) -> None:
+    """Raises UsageError, one line, for what `source` made and cannot stand in one task set with `like`."""
+    if not isinstance(task, Task):
+        raise UsageError(f"{source}: a task must be a Task, and is {_kind(task)}")
+    if not (_is_text(task.name) and (task.target is None or _is_number(task.target))):
+        raise UsageError(f"{source}: a task needs a name and as its target a finite number or None, and one is {task}")
+    if not (isinstance(task.params, dict) and task.params and all(map(_is_number, task.params.values()))):
+        wanted = f"the params of task {task.name!r} must be finite numbers by name"
+        raise UsageError(f"{source}: {wanted}, and are {task.params}")
+    if task.params.keys() != like.params.keys():
+        raise UsageError(f"{source}: tasks {like.name!r} and {task.name!r} have different numbers in their params")
+
+
+def _check_task_sets(family: Family) -> TaskSet:
+    """Returns the training tasks."""
+    found = {
+        "training_tasks": _guarded(family, "training_tasks")(),
+        "adaptation_tasks": _guarded(family, "adaptation_tasks")(0),
+        "interpolation_tasks": _guarded(family, "interpolation_tasks")(),
+    }
+    for method, tasks in found.items():
+        if not isinstance(tasks, TaskSet):
+            raise UsageError(f"{method}() must return a task_set(…), and returns {_kind(tasks)}")
+    training = task_set(found["training_tasks"].tasks)
+    for method, tasks in found.items():
+        for task in tasks.tasks:
+            check_task(task, training.tasks[0], f"{method}()")
+    return training
+
+
+def _check_outcome(family: Family, outcome: Any) -> None:
     if not isinstance(outcome, dict) or not outcome:
-        raise UsageError(f"{name}: outcome() must be a dictionary of named scalars")
-    for key, value in outcome.items():
-        _expect(name, f"outcome()[{key!r}]", value, ())
-        if not np.isfinite(value):
-            raise UsageError(f"{name}: outcome()[{key!r}] is {value} at a fresh start; it must be finite")
-    params = jax.tree.map(lambda leaf: leaf[0], tasks.params)
-    _expect(name, "reward()", _try(family, "reward", family.reward, outcome, params), ())
-    _expect(name, "terminated()", _try(family, "terminated", family.terminated, physics), ())
+        raise UsageError(f"outcome() must be a dictionary of named scalars, and is {_kind(outcome)}")
+    for name, value in outcome.items():
+        if name in RESERVED:
+            raise UsageError(f"outcome() must not hold {name!r}, which others write beside it; call it otherwise")
+        _expect(f"outcome()[{name!r}]", value, ())
+    if type(family).achieved is Family.achieved and family.commanded not in outcome:
+        raise UsageError(f"commanded: {unknown('outcome', family.commanded, outcome)}")
 
 
-def _try(family: Family, method: str, function: Any, *arguments: Any) -> Any:
-    try:
-        return function(*arguments)
-    except Exception as error:
-        raise UsageError(f"{family.name}: {method}() fails: {type(error).__name__}: {error}".splitlines()[0]) from error
+def _guarded(family: Family, method: str, wrap: Callable[..., Any] = lambda function: function) -> Callable[..., Any]:
+    """A method that fails in one line."""
+    return user_code(f"{method}() fails", source_file(type(family)))(wrap(getattr(family, method)))
 
 
-def _expect(name: str, what: str, value: Any, shape: tuple[int, ...]) -> None:
-    if jnp.shape(value) != shape:
-        wanted = "a scalar" if shape == () else f"of shape {shape}"
-        raise UsageError(f"{name}: {what} must be {wanted}, and has shape {jnp.shape(value)}")
+def _traced(family: Family, method: str) -> Callable[..., Any]:
+    """The same, traced as training does."""
+    return _guarded(family, method, jax.jit)
+
+
+def _expect(what: str, value: Any, shape: tuple[int, ...] | None, dtype: str | None = None) -> None:
+    """An array of that shape, a vector for None, and of that type; finite, for it comes of a fresh start."""
+    wanted = "a vector" if shape is None else f"of shape {shape}" if shape else "a scalar"
+    if not isinstance(value, jax.Array):
+        raise UsageError(f"{what} must be {wanted}, and is {_kind(value)}")
+    if (value.ndim != 1) if shape is None else (value.shape != shape):
+        raise UsageError(f"{what} must be {wanted}, and has shape {value.shape}")
+    if dtype not in (None, value.dtype.name):
+        raise UsageError(f"{what} must be {dtype}, and is {value.dtype}")
+    for index, number in np.ndenumerate(value):
+        if not np.isfinite(number):
+            raise UsageError(f"{what}{list(index) or ''} is {number} at a fresh start; it must be finite")
+
+
+def _kind(value: Any) -> str:
+    return "None" if value is None else f"of type {type(value).__name__}"
+
+
+def _is_number(value: Any) -> bool:
+    """Python's own, which JSON can hold."""
+    return isinstance(value, (int, float)) and math.isfinite(value)
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and value >= 1
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and value != ""
+
+
+def _are_texts(value: Any) -> bool:
+    return isinstance(value, tuple) and all(map(_is_text, value))
+
+
+def _are_limits(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 2 and all(map(_is_count, value))
+
+
+_ATTRIBUTES = {
+    "name": (_is_text, "a text"),
+    "substeps": (_is_count, "a whole number of at least 1"),
+    "mjx_solver": (_are_limits, "two whole numbers of at least 1, as in (4, 8)"),
+    "commanded": (_is_text, "the name of an outcome"),
+    "unit": (_is_text, "a text"),
+    "bodies": (_are_texts, "a tuple of names"),
+    "episode_length": (_is_count, "a whole number of at least 1"),
+    "options": (_are_texts, "a tuple of names"),
+}
+_MODEL = {"model_file": (_is_text, "one of Gymnasium's models, or load() be defined")}

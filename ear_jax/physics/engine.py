@@ -73,8 +73,12 @@ def make_engine(
       bodies: names of the bodies whose positions each step reports.
       mjx_solver: solver and line-search iterations that MJX is held to (C MuJoCo stops by itself; MJX under `vmap`
         always pays for the slowest simulation).
+
+    Raises:
+      UsageError: there is no such engine or body.
+      RunError: the engine does not run here.
     """
-    body_ids = [model.body(body).id for body in bodies]
+    body_ids = [_body_id(model, body) for body in bodies]
     name = choose_engine(name)
     if name == "native":
         from ear_jax.physics.native import NativeEngine
@@ -83,3 +87,10 @@ def make_engine(
     from ear_jax.physics.mjx import MjxEngine
 
     return MjxEngine(model, substeps, body_ids, mjx_solver, name)
+
+
+def _body_id(model: mujoco.MjModel, name: str) -> int:
+    names = [model.body(index).name for index in range(model.nbody)]
+    if name not in names:
+        raise unknown("body", name, names)
+    return names.index(name)

@@ -7,15 +7,23 @@ from pathlib import Path
 
 import mujoco
 
-from ear_jax.errors import RunError
+from ear_jax.errors import RunError, unknown
 
 
 def gymnasium_model_path(filename: str) -> Path:
-    """Where the installed `gymnasium` keeps a model, found without importing its environments."""
+    """Where the installed `gymnasium` keeps a model, found without importing its environments.
+
+    Raises:
+      UsageError: it has no such model.
+      RunError: it is not installed.
+    """
     spec = importlib.util.find_spec("gymnasium")
     if spec is None or not spec.submodule_search_locations:
         raise RunError("the models come from the 'gymnasium' package, which is not installed: pip install gymnasium")
-    return Path(spec.submodule_search_locations[0]) / "envs" / "mujoco" / "assets" / filename
+    path = Path(spec.submodule_search_locations[0]) / "envs" / "mujoco" / "assets" / filename
+    if not path.is_file():
+        raise unknown("model", filename, [model.name for model in path.parent.glob("*.xml")])
+    return path
 
 
 def load_model(filename: str) -> mujoco.MjModel:
