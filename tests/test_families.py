@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from ear_jax.envs import FAMILIES, Family, make_family
+from ear_jax.envs.validation import check_class, check_family
 from ear_jax.physics import Physics
 from ear_jax.physics.models import load_model
 
@@ -276,6 +277,12 @@ def _expect_uniform(values: np.ndarray, bound: float) -> None:
     assert 0.99 * bound < np.abs(values).max() <= bound + rounding
     assert np.abs(values.mean(axis=0)).max() < 5 * bound / (3 * len(values)) ** 0.5
     np.testing.assert_allclose(values.std(axis=0), bound / 3**0.5, rtol=0.05)
+
+
+@every_family
+def test_passes_what_a_users_family_must(name):
+    check_class(FAMILIES[name], name)
+    check_family(make_family(name, "native"))
 
 
 @every_family
