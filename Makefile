@@ -36,7 +36,9 @@ format: setup
 bench: setup
 	$(BIN)/python -m benchmarks.physics
 	$(BIN)/python -m benchmarks.update
+	$(BIN)/python -m benchmarks.chunk
 	$(BIN)/python -m benchmarks.startup
+	$(BIN)/python -m benchmarks.adaptation
 	$(BIN)/python -m benchmarks.figures
 
 # Pins every package with hashes for Python 3.11 to 3.13, without an index's address. Needs uv.

@@ -165,8 +165,8 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("fast", "hopper-vel"): {"sac": {"discount": 0.99}},
     ("fast", "walker-vel"): {"sac": {"discount": 0.99}},
     ("smoke", "halfcheetah-vel"): {"tasks": ("1", "2", "3")},
-    ("smoke", "hopper-vel"): {"tasks": ("0.4", "1", "1.6")},
-    ("smoke", "walker-vel"): {"tasks": ("0.4", "1", "1.6")},
+    ("smoke", "hopper-vel"): {"tasks": ("0.4", "1", "1.6"), "sac": {"discount": 0.99}},
+    ("smoke", "walker-vel"): {"tasks": ("0.4", "1", "1.6"), "sac": {"discount": 0.99}},
     ("smoke", "ant-dir"): {"tasks": ("0", "90", "180", "270")},
     ("smoke", "halfcheetah-run-jump"): {"tasks": ("back-1", "back-3", "jump-5")},
 }

@@ -1,0 +1,104 @@
+"""Time of one epoch of training by its parts, each compiled alone, and of the whole beside their sum."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from benchmarks import common
+from benchmarks.update import filled
+from ear_jax import replay, runtime, train
+from ear_jax.config import Config, preset_config
+from ear_jax.grid import Grid, Transition
+from ear_jax.learner import LearnerState
+from ear_jax.replay import Replay
+from ear_jax.rollout import act_with, rollout
+from ear_jax.train import Program, TrainState
+
+PARTS = ("collect", "add", "update")
+Step = Callable[[Any], Any]
+
+
+def collect(program: Program, state: TrainState) -> Transition:
+    """The roll-out of an epoch."""
+    settings, family, policy = program.config.collect, program.family, state.learner.policy
+    noise = jax.random.normal(state.key, (settings.steps, len(program.tasks), settings.envs, family.action_size))
+    act = act_with(program.agent, policy, program.agent.codes(policy))
+    return rollout(Grid(family), act, state.cells, noise, lambda transition: transition)[1]
+
+
+def update(program: Program, state: TrainState) -> LearnerState:
+    """The updates of an epoch."""
+    learner = program.learner.observe(state.learner, state.replay)
+    draws = program.learner.draw(state.key, program.config.sac.updates)
+    return jax.lax.scan(lambda carry, drawn: program.learner.update(carry, state.replay, drawn), learner, draws)[0]
+
+
+def _repeat(step: Step, carried: Any) -> Callable[[], None]:
+    """A call that steps from where the last one left; `carried` is given away."""
+
+    def run() -> None:
+        nonlocal carried
+        carried = jax.block_until_ready(step(carried))
+
+    return run
+
+
+def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, Callable[[], Any]]:
+    """The parts and the whole of an epoch; leaves are [seeds, …]."""
+    compiled = partial(jax.jit, compiler_options=runtime.compiler_options())
+    state = start()
+    rolled_out, updated = (compiled(jax.vmap(partial(part, program))) for part in (collect, update))
+    transitions = rolled_out(state)
+    add = compiled(jax.vmap(replay.add), donate_argnums=0)
+    whole = compiled(jax.vmap(lambda state: train.train_epoch(program, state)[0]), donate_argnums=0)
+    rings: Replay = jax.tree.map(jnp.copy, state.replay)
+    return {
+        "collect": lambda: jax.block_until_ready(rolled_out(state)),
+        "add": _repeat(lambda buffer: add(buffer, transitions), rings),
+        "update": lambda: jax.block_until_ready(updated(state)),
+        "whole": _repeat(whole, start()),
+    }
+
+
+def measure(options: argparse.Namespace, config: Config, repeats: int) -> None:
+    program = train.make_program(config)
+
+    def start() -> TrainState:
+        return jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
+
+    timings = common.alternate(contenders(program, start), repeats)
+    sums = [sum(timings[part].seconds[index] for part in PARTS) for index in range(repeats)]
+    row: dict[str, Any] = {
+        "preset": config.preset,
+        "family": config.family,
+        "engine": program.family.engine.name,
+        "backend": jax.default_backend(),
+        "env_steps": program.env_steps_per_epoch,
+        "updates": config.sac.updates,
+        "repeats": repeats,
+    }
+    for part, timing in timings.items():
+        row.update(common.spread(f"{part}_seconds", timing.seconds))
+    row.update(common.spread("ratio_to_parts", common.ratios(timings["whole"].seconds, sums)))
+    common.write_row(options, "chunk", row)
+
+
+def main() -> None:
+    options = common.arguments(__doc__)
+    for preset in ("fast", "paper"):
+        config = preset_config("halfcheetah-vel", preset)
+        if options.quick:
+            few = dataclasses.replace(config.sac, updates=2)
+            config = dataclasses.replace(config, sac=few)
+        measure(options, config, 1 if options.quick else 5)
+
+
+if __name__ == "__main__":
+    main()
