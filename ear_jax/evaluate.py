@@ -97,8 +97,8 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
       seed: of the starts, all different from those of training.
 
     Returns:
-      What `ear evaluate --json` prints: per seed and task the return (mean, standard deviation), the mean outcome, and
-      each episode.
+      What `ear evaluate --json` prints: per seed and task the return (mean, standard deviation), the mean outcome, how
+      many episodes failed (ended before the time limit), and each episode. A task fails with any of its episodes.
     """
     program = trained.program
     config, count = program.config, program.config.seeds
@@ -112,6 +112,7 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
         _describe_seed(program, config.seed + index, jax.tree.map(lambda leaf, index=index: leaf[index], played))
         for index in range(count)
     ]
+    failures = [task["failures"] for seed in seeds for task in seed["tasks"]]
     return {
         "run": trained.name,
         "family": config.family,
@@ -121,9 +122,11 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
         "env_steps": program.env_steps(trained.epoch),
         "updates": trained.epoch * config.sac.updates,
         "episodes": episodes,
+        "episode_length": program.family.episode_length,
         "commanded": {"outcome": program.family.commanded, "unit": program.family.unit},
         "seeds": seeds,
         "mean_return": float(np.mean(played.returns)),
+        "failed_tasks": {"failed": sum(count > 0 for count in failures), "total": len(failures)},
     }
 
 
@@ -187,6 +190,7 @@ def _describe_seed(program: Program, seed: int, played: Episodes) -> dict[str, A
                 "target": task.target,
                 "return_mean": float(played.returns[row].mean()),
                 "return_std": float(played.returns[row].std()),
+                "failures": int((played.lengths[row] < family.episode_length).sum()),
                 "outcome": {name: float(value) for name, value in mean_late.items()},
                 "episodes": {
                     "return": played.returns[row].tolist(),

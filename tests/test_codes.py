@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from probe import Bandit
+from probe import Bandit, Slider
 
 from ear_jax import cem, ltes
 from ear_jax.adapt import Search, adapt
@@ -16,6 +16,7 @@ from ear_jax.codes import blend, fibonacci_sphere, slerp
 from ear_jax.config import Config
 from ear_jax.envs.ant_dir import AntDir
 from ear_jax.errors import UsageError
+from ear_jax.evaluate import evaluate
 from ear_jax.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.networks import unit
 from ear_jax.policy import Gaussian
@@ -132,6 +133,16 @@ def test_cem_asks_the_elites_again_and_keeps_the_best():
     np.testing.assert_allclose(np.linalg.norm(candidates, axis=1), 1, rtol=1e-5)
     returns = jnp.arange(90.0)
     np.testing.assert_array_equal(cem.tell(state, candidates, returns).elites, candidates[:-7:-1])
+
+
+def test_failures_are_episodes_that_end_before_their_time(toy):
+    """A bandit is over after its first step; the slider stays short of x = 2 for its four."""
+    slider = Slider("native")
+    whole = Program(Config("slider"), slider, slider.training_tasks(), obedient(CODES), None)  # type: ignore[arg-type]
+    for trained, failures in ((toy, 3), (Trained("whole", whole, jnp.zeros((1, 1)), 0), 0)):
+        document = evaluate(trained, episodes=3, seed=0)
+        assert [task["failures"] for task in document["seeds"][0]["tasks"]] == [failures, failures]
+        assert document["failed_tasks"] == {"failed": 2 * (failures > 0), "total": 2}
 
 
 def test_betas_are_the_papers():

@@ -74,13 +74,17 @@ def keep_evaluation(run: Path, evaluation: dict[str, Any]) -> list[Path]:
 
 
 def print_evaluation(evaluation: dict[str, Any]) -> None:
-    """A table of the tasks, with a number a seed."""
+    """A table of the tasks, with a number a seed, and how many tasks failed."""
     measured = evaluation["commanded"]
     table = Table(title=f"{evaluation['run']}: mean return {evaluation['mean_return']:.1f}", title_justify="left")
-    for heading in ("task", f"{measured['outcome']} ({measured['unit']})", "return"):
+    for heading in ("task", f"{measured['outcome']} ({measured['unit']})", "return", "failed"):
         table.add_column(heading, justify="left" if heading == "task" else "right")
     for tasks in zip(*(seed["tasks"] for seed in evaluation["seeds"]), strict=True):
         achieved = " / ".join(f"{task['outcome'][measured['outcome']]:.2f}" for task in tasks)
         returns = " / ".join(f"{task['return_mean']:.1f}" for task in tasks)
-        table.add_row(tasks[0]["name"], achieved, returns)
-    Console(highlight=False).print(table)
+        failures = " / ".join(str(task["failures"]) for task in tasks)
+        table.add_row(tasks[0]["name"], achieved, returns, failures)
+    console, failed = Console(highlight=False), evaluation["failed_tasks"]
+    console.print(table)
+    each = f"an episode of {evaluation['episodes']} that ended before {evaluation['episode_length']} steps"
+    console.print(f"{failed['failed']} of {failed['total']} tasks had {each}")
