@@ -91,17 +91,18 @@ def adapt(
       search: how to search; None: only the map.
       episodes: fresh episodes by which a code is judged.
       seed: seeds everything.
-      places: codes of the map; the map answers tasks that command something.
+      places: codes of the map; it answers tasks that command something, where the agent has LTEs.
 
     Returns:
       What `ear adapt --json` prints.
 
     Raises:
-      UsageError: a target that no surveyed code comes near.
+      UsageError: a target that no surveyed code comes near, or only the map of an agent without LTEs.
     """
     began = time.perf_counter()
     program, config = trained.program, trained.program.config
-    commanding = [task for task in tasks.tasks if task.target is not None]
+    mapped = search is None or program.agent.embed is not None
+    commanding = [task for task in tasks.tasks if task.target is not None and mapped]
     answers = zero_shot(trained, commanding, episodes, seed, places) if commanding else {}
     searched = _search_all(trained, tasks, search, seed, episodes) if search else {}
     found = [

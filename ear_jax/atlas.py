@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ear_jax.codes import fibonacci_sphere
+from ear_jax.codes import spread
 from ear_jax.envs import Family
 from ear_jax.errors import UsageError
 from ear_jax.evaluate import play_codes
@@ -27,7 +27,7 @@ BANDWIDTHS = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3)  # radians
 class Atlas:
     """What one policy does under codes spread over the sphere."""
 
-    codes: np.ndarray  # [places, 3]
+    codes: np.ndarray  # [places, code]
     achieved: np.ndarray  # [places], in the commanded quantity
     late: dict[str, np.ndarray]  # outcomes over the second half of the episodes, each [places]
 
@@ -40,8 +40,14 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[Atla
       places: how many codes.
       episodes: how many a code.
       seed: of the starts.
+
+    Raises:
+      UsageError: an agent without LTEs.
     """
-    program, codes = trained.program, fibonacci_sphere(places)
+    program = trained.program
+    if program.agent.embed is None:
+        raise UsageError(f"agent {program.config.agent} has no LTEs, and so no sphere to map")
+    codes = spread(places, program.agent.code_size)
 
     def of_seed(policy: Params, key: jax.Array) -> Any:
         return play_codes(program, policy, jnp.asarray(codes), key, episodes)
@@ -79,14 +85,14 @@ def describe(trained: Trained, atlases: list[Atlas]) -> dict[str, Any]:
 
 
 def place_for(atlas: Atlas, family: Family, target: float) -> tuple[np.ndarray, float]:
-    """The code [3] expected to come nearest to a target, and what it is predicted to achieve.
+    """The code [code] expected to come nearest to a target, and what it is predicted to achieve.
 
     What a code does is estimated from the surveyed places around it, weighted by a Gaussian of their angle from it. The
     code chosen is the one whose expected squared miss is least, bias and spread together: among codes that promise the
     target, one amid others that keep the promise.
     """
     miss = family.difference(atlas.achieved, target)  # [places]
-    candidates = fibonacci_sphere(FINE)
+    candidates = spread(FINE, atlas.codes.shape[1])
     bandwidth = _bandwidth(atlas, family)
     expected = np.concatenate(
         [

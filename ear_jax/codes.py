@@ -41,3 +41,11 @@ def fibonacci_sphere(count: int) -> np.ndarray:
     angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
     radius = np.sqrt(1 - height**2)
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1).astype(np.float32)
+
+
+def spread(count: int, size: int) -> np.ndarray:
+    """`count` unit vectors [count, size]: evenly in three dimensions, always the same ones at random in others."""
+    if size == 3:
+        return fibonacci_sphere(count)
+    directions = np.random.default_rng(0).normal(size=(count, size))
+    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)

@@ -14,7 +14,7 @@ from ear_jax.errors import UsageError, unknown
 @dataclass(frozen=True)
 class NetworkConfig:
     width: int = 400
-    """Units in every hidden layer."""
+    """Units in every hidden layer but the task encoder's."""
     encoder_layers: int = 2
     """Hidden layers of the state encoder φ."""
     decoder_layers: int = 4
@@ -23,6 +23,8 @@ class NetworkConfig:
     """Hidden layers of each critic."""
     task_layers: int = 0
     """Hidden layers of the task encoder; the paper's is a single linear layer."""
+    task_width: int = 400
+    """Units in each of those."""
     lse_size: int = 16
     """Size of the latent state embedding."""
     lte_size: int = 3
@@ -106,7 +108,9 @@ class Config:
 
     family: tyro.conf.Positional[str]
     preset: str = "fast"
+    """paper, fast or smoke, and what of EAR to leave out: fast+no-noise, fast+no-norm, fast+no-noise+no-norm."""
     agent: str = "ear"
+    """ear, onehot, onehot-blind (the one-hot zeroed) or multihead."""
     engine: str = "auto"
     """Physics engine: auto, native (CPU), mjx, or warp (an extra; NVIDIA's kernels)."""
     seed: int = 0
@@ -171,13 +175,52 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("smoke", "halfcheetah-run-jump"): {"tasks": ("back-1", "back-3", "jump-5")},
 }
 
+# And for one agent (the authors' code of the baselines).
+AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
+    ("paper", "multihead"): {
+        "network": {"decoder_layers": 3, "critic_layers": 3},
+        "sac": {"max_grad_norm": 1.0},
+    },
+}
 
-def preset_config(family: str, preset: str) -> Config:
-    """The configuration a preset stands for; raises UsageError where there is none."""
-    if preset not in PRESETS:
-        raise unknown("preset", preset, PRESETS)
-    changes = _merge(PRESETS[preset], FAMILY_PRESETS.get((preset, family), {}))
-    return from_dict({"family": family, "preset": preset, **changes})
+# What a preset's name may go on with after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), and
+# the hidden layer that the authors' code has in the task encoder.
+ABLATIONS: dict[str, dict[str, Any]] = {
+    "no-noise": {"sac": {"lte_noise": 0.0}},
+    "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
+    "task-hidden": {"network": {"task_layers": 1}},
+}
+
+
+def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
+    """The configuration a preset stands for.
+
+    Args:
+      family: a family's name.
+      preset: `paper`, `fast` or `smoke`, alone or with ablations, as in `fast+no-noise+no-norm`.
+      agent: an agent's name.
+
+    Raises:
+      UsageError: no such preset or ablation, or an agent that has nothing to ablate.
+    """
+    base, *ablations = preset.split("+")
+    if base not in PRESETS:
+        raise unknown("preset", base, PRESETS)
+    changes = _merge(PRESETS[base], FAMILY_PRESETS.get((base, family), {}))
+    changes = _merge(changes, AGENT_PRESETS.get((base, agent), {}))
+    for ablation in ablations:
+        if ablation not in ABLATIONS:
+            raise unknown("ablation", ablation, ABLATIONS)
+        if not agent.startswith("ear"):
+            raise UsageError(f"agent {agent!r} has no embeddings, so that --preset {preset} would change nothing")
+        changes = _merge(changes, ABLATIONS[ablation])
+    return from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+
+
+def run_name(config: Config) -> str:
+    """What a run's directory is called unless its user names it; of path/to/file.py:ClassName, the class."""
+    family = config.family.rpartition(":")[2].lower()
+    return f"{family}-{config.agent}-{config.preset}-seed{config.seed}"
 
 
 def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -245,7 +288,7 @@ _MINIMA: dict[str, int] = {
     "seeds": 1,
     "epochs": 1,
     "minutes": 0,
-    **{f"network.{name}": 1 for name in ("width", "lse_size", "lte_size")},
+    **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
     "sac.batch_size": 1,
     "sac.updates": 1,

@@ -29,7 +29,7 @@ class LearnerState:
     policy: Params
     critics: Params  # each leaf [critics, …]
     target_critics: Params
-    log_temperature: jax.Array
+    log_temperature: jax.Array  # a scalar, or [tasks] where the agent has one for each task
     policy_optimiser: Any
     critic_optimiser: Any  # one a critic, each leaf [critics, …]
     temperature_optimiser: Any
@@ -67,7 +67,8 @@ class Learner:
         key_policy, key_critics = jax.random.split(key)
         policy = self.agent.init_policy(key_policy)
         critics = jax.vmap(self.agent.init_critic)(jax.random.split(key_critics, CRITICS))
-        log_temperature = jnp.log(jnp.float32(self.config.sac.initial_temperature))
+        temperatures = (self.task_count,) if self.agent.own_temperatures else ()
+        log_temperature = jnp.log(jnp.full(temperatures, self.config.sac.initial_temperature))
         return LearnerState(
             policy=policy,
             critics=critics,
@@ -114,7 +115,7 @@ class Learner:
           The next state, and scalars to watch.
         """
         batch = self._batch(buffer, draws)
-        temperature = jnp.exp(state.log_temperature)
+        temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
         target = self._target(state, batch, draws.next)
         obs = state.policy["standardiser"](batch.obs)  # as critics see it
 
@@ -127,10 +128,13 @@ class Learner:
             value = losses.q_values(state.critics, self.agent, obs, action, batch.task, self.task_count)
             return losses.actor_loss(value, log_prob, temperature), log_prob
 
+        def temperature_objective(log_temperature):
+            target_entropy = -float(self.family.action_size)
+            return losses.temperature_loss(_of_items(log_temperature, batch.task), log_prob, target_entropy)
+
         (critic_loss, values), critic_grad = jax.value_and_grad(critic_objective, has_aux=True)(state.critics)
         (actor_loss, log_prob), actor_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
-        target_entropy = -float(self.family.action_size)
-        temperature_grad = jax.grad(losses.temperature_loss)(state.log_temperature, log_prob, target_entropy)
+        temperature_grad = jax.grad(temperature_objective)(state.log_temperature)
 
         policy, policy_optimiser = self._apply(actor_grad, state.policy_optimiser, state.policy)
         critics, critic_optimiser = jax.vmap(self._apply)(critic_grad, state.critic_optimiser, state.critics)
@@ -149,7 +153,7 @@ class Learner:
         watched = {
             "critic_loss": critic_loss,
             "actor_loss": actor_loss,
-            "temperature": temperature,
+            "temperature": jnp.mean(temperature),
             "entropy": -jnp.mean(log_prob),
             "q_value": jnp.mean(values),
         }
@@ -173,9 +177,14 @@ class Learner:
         action, log_prob = losses.sample_policy(state.policy, self.agent, batch.next_obs, batch.task, noise)
         next_obs = state.policy["standardiser"](batch.next_obs)
         value = losses.q_values(state.target_critics, self.agent, next_obs, action, batch.task, self.task_count)
-        temperature = jnp.broadcast_to(jnp.exp(state.log_temperature), log_prob.shape)
+        temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
         return losses.td_target(batch, value, log_prob, temperature, self.config.sac.discount)
 
     def _apply(self, grad: Params, optimiser_state: Any, params: Params) -> tuple[Params, Any]:
         update, optimiser_state = self.optimiser.update(grad, optimiser_state, params)
         return optax.apply_updates(params, update), optimiser_state
+
+
+def _of_items(temperature: jax.Array, task: jax.Array) -> jax.Array:
+    """What of all temperatures, or of their logarithms, is each item's: the shared scalar, or its task's [n]."""
+    return temperature[task] if temperature.ndim else temperature

@@ -67,7 +67,7 @@ def td_target(
       batch: the transitions.
       next_value: the target critics' values of the next action, [critics, n].
       next_log_prob: that action's log-density, [n].
-      temperature: α of each item's task, [n].
+      temperature: α of each item's task, [n], or one for all.
       discount: γ.
     """
     value = jnp.min(next_value, axis=0) - temperature * next_log_prob
@@ -80,10 +80,10 @@ def critic_loss(values: jax.Array, target: jax.Array) -> jax.Array:
 
 
 def actor_loss(value: jax.Array, log_prob: jax.Array, temperature: jax.Array) -> jax.Array:
-    """J_π (equation 3): the mean of α log π − min Q; value [critics, n], log_prob and temperature [n]."""
+    """J_π (equation 3): the mean of α log π − min Q; value [critics, n], log_prob [n]."""
     return jnp.mean(temperature * log_prob - jnp.min(value, axis=0))
 
 
 def temperature_loss(log_temperature: jax.Array, log_prob: jax.Array, target_entropy: float) -> jax.Array:
-    """J(α) (equation 2): the mean of −α (log π + H̄), with α in its logarithm so that it stays positive; both [n]."""
+    """J(α) (equation 2): the mean of −α (log π + H̄), with α in its logarithm so that it stays positive."""
     return jnp.mean(-log_temperature * (log_prob + target_entropy))

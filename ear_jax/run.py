@@ -17,9 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax import checkpoint, records, runtime, train
-from ear_jax.config import Config, from_dict
+from ear_jax.config import Config, from_dict, run_name
 from ear_jax.errors import RunError, UsageError
 from ear_jax.evaluate import Episodes, play_training_tasks
+from ear_jax.learner import CRITICS
 from ear_jax.networks import Params
 from ear_jax.stopping import Stopped, StopRequest
 from ear_jax.terminal import TrainingBar, phase, say
@@ -39,8 +40,7 @@ class Compiled:
 
 
 def default_directory(config: Config) -> Path:
-    family = config.family.rpartition(":")[2].lower()  # of path/to/file.py:ClassName, the class
-    return Path("runs") / f"{family}-{config.agent}-{config.preset}-seed{config.seed}"
+    return Path("runs") / run_name(config)
 
 
 def train_run(config: Config, directory: Path) -> None:
@@ -69,7 +69,12 @@ def train_run(config: Config, directory: Path) -> None:
     _check_memory(program, keys)
     if not steps:
         _make(directory)
-        document = {"config": dataclasses.asdict(config), "tasks": _tasks_document(program), **records.provenance()}
+        document = {
+            "config": dataclasses.asdict(config),
+            "tasks": _tasks_document(program),
+            "parameters": program.agent.parameter_counts,
+            **records.provenance(),
+        }
         records.write_json(directory / "config.json", document)
     say(_header(program, directory))
     with phase("compiling"):
@@ -216,8 +221,10 @@ def _tasks_document(program: Program) -> list[dict[str, Any]]:
 
 def _header(program: Program, directory: Path) -> str:
     config = program.config
+    counts = program.agent.parameter_counts
     seeds = f"seed {config.seed}" if config.seeds == 1 else f"seeds {config.seed}–{config.seed + config.seeds - 1}"
     return (
         f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · {seeds} · "
+        f"policy of {counts['policy']:,} parameters, {CRITICS} critics of {counts['critic']:,} · "
         f"engine {program.family.engine.name} on {jax.default_backend()} · {directory}"
     )

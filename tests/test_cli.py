@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from ear_jax.cli.doctor import known_bad
 from ear_jax.cli.main import main
 from ear_jax.cli.train import read
 from ear_jax.records import versions
+from ear_jax.run import default_directory
 
 TINY = [
     "--engine",
@@ -59,6 +61,8 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("train", "name a family first"),
         ("train halfcheeta-vel", "did you mean 'halfcheetah-vel'"),
         ("train halfcheetah-vel --preset fats", "did you mean 'fast'"),
+        ("train halfcheetah-vel --preset fast+no-nose", "did you mean 'no-noise'"),
+        ("train halfcheetah-vel --preset fast+no-norm --agent onehot", "would change nothing"),
         ("train halfcheetah-vel --sac.lrr 1", "did you mean --sac.lr?"),
         ("train halfcheetah-vel --sac.lr abc", "could not convert string to float: 'abc'"),
         ("train halfcheetah-vel --sac.lr -1", "must be above 0"),
@@ -121,6 +125,22 @@ def test_settings_override_the_preset():
     assert (config.preset, config.sac.lr, config.replay.share_experience) == ("smoke", 1e-4, False)
     assert config.tasks == ("1", "2", "3")
     assert config.sac.batch_size == 240
+
+
+def test_a_preset_goes_on_with_ablations():
+    config = read(["ant-dir", "--preset", "paper+no-noise+no-norm"]).config
+    assert (config.preset, config.sac.batch_size, config.sac.lte_noise) == ("paper+no-noise+no-norm", 1920, 0.0)
+    assert (config.network.normalise_lse, config.network.normalise_lte) == (False, False)
+    config = read(["ant-dir", "--preset=fast+task-hidden", "--network.task-width", "64"]).config
+    assert (config.network.task_layers, config.network.task_width, config.sac.lte_noise) == (1, 64, 0.02)
+    assert default_directory(config) == Path("runs/ant-dir-ear-fast+task-hidden-seed0")
+
+
+def test_multihead_has_its_own_depth_and_clip_under_paper():
+    config = read(["halfcheetah-vel", "--preset", "paper", "--agent", "multihead"]).config
+    assert (config.network.decoder_layers, config.network.critic_layers, config.sac.max_grad_norm) == (3, 3, 1.0)
+    fast, multihead = (read(["halfcheetah-vel", "--agent", agent]).config for agent in ("ear", "multihead"))
+    assert multihead == dataclasses.replace(fast, agent="multihead")
 
 
 def test_paper_preset_is_the_papers():

@@ -35,7 +35,7 @@ def obedient(codes: jax.Array) -> Agent:
     def nothing(*_):
         return None
 
-    return Agent(3, nothing, nothing, lambda policy: codes, unit, 0.0, distribution, None, nothing)
+    return Agent(3, nothing, nothing, lambda policy: codes, unit, 0.0, distribution, nothing, embed=nothing)
 
 
 @pytest.fixture(scope="module")

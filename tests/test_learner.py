@@ -20,8 +20,8 @@ from ear_jax.runtime import compiler_options
 from ear_jax.train import Program
 
 
-def bandit_program(**sac: object) -> Program:
-    base = Config("bandit")
+def bandit_program(agent: str = "ear", **sac: object) -> Program:
+    base = Config("bandit", agent=agent)
     config = dataclasses.replace(
         base,
         network=NetworkConfig(32, 1, 1, 1, initialiser="fan_in"),
@@ -31,8 +31,12 @@ def bandit_program(**sac: object) -> Program:
     )
     family = Bandit("native")
     tasks = family.training_tasks()
-    agent = make_agent("ear", 1, 1, len(tasks), config.network, config.sac.lte_noise)
-    return Program(config, family, tasks, agent, Learner(agent, family, tasks.params, config))
+    bundle = make_agent(agent, 1, 1, len(tasks), config.network, config.sac.lte_noise)
+    return Program(config, family, tasks, bundle, Learner(bundle, family, tasks.params, config))
+
+
+def begin(program: Program) -> train.TrainState:
+    return jax.jit(partial(train.begin, program), compiler_options=compiler_options())(jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +46,7 @@ def program() -> Program:
 
 @pytest.fixture(scope="module")
 def begun(program: Program) -> train.TrainState:
-    return jax.jit(partial(train.begin, program), compiler_options=compiler_options())(jax.random.key(0))
+    return begin(program)
 
 
 def one_update(program: Program, state: train.TrainState, **changes: object):

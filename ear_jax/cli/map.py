@@ -41,6 +41,8 @@ def main(words: list[str]) -> None:
             raise UsageError(f"--{name} {getattr(command, name)} is too small; it must be at least {least}")
     enable_cache()
     trained = load(command.run)
+    if (size := trained.program.agent.code_size) != 3:
+        raise UsageError(f"this run's codes have {size} numbers; only a sphere of 3 can be drawn")
     with phase(f"rolling out {command.places} LTEs"):
         document = describe(trained, survey(trained, command.places, command.episodes, command.seed))
     records.write_json(command.run / "map.json", {**document, **records.provenance()})

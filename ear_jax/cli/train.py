@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated
 
@@ -34,13 +35,19 @@ def main(words: list[str]) -> None:
 def read(words: list[str]) -> TrainCommand:
     """The command line over the preset it names."""
     family, rest = _family(words)
-    preset = "fast"
-    for index, word in enumerate(rest):
-        if word == "--preset" and index + 1 < len(rest):
-            preset = rest[index + 1]
-        elif word.startswith("--preset="):
-            preset = word.partition("=")[2]
-    return parse(TrainCommand, [family, *rest], "train", TrainCommand(preset_config(family, preset)))
+    base = preset_config(family, _option(rest, "--preset", "fast"), _option(rest, "--agent", "ear"))
+    return parse(TrainCommand, [family, *rest], "train", TrainCommand(base))
+
+
+def _option(words: list[str], name: str, default: str) -> str:
+    """What an option is set to, ahead of the parsing of all."""
+    value = default
+    for word, following in zip_longest(words, words[1:]):
+        if word == name and following is not None:
+            value = following
+        elif word.startswith(name + "="):
+            value = word.partition("=")[2]
+    return value
 
 
 def _family(words: list[str]) -> tuple[str, list[str]]:

@@ -1,0 +1,72 @@
+"""What a method is, told by pure functions of parameters. The trainer and everything after it see only this."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+
+from ear_jax.config import NetworkConfig
+from ear_jax.networks import Network, Params, identity, mlp
+from ear_jax.policy import Gaussian
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A method as functions; obs is [obs], action [act], code [code], task a one-hot [tasks], all of one item.
+
+    A code is a row of the code table, and the policy knows a task by nothing else: interpolation, composition and
+    search only make new rows.
+    """
+
+    code_size: int
+    init_policy: Callable[[jax.Array], Params]
+    init_critic: Callable[[jax.Array], Params]
+    codes: Callable[[Params], jax.Array]  # policy parameters → table [tasks, code]
+    project: Callable[[jax.Array], jax.Array]  # any vector [code] → the code nearest to it, as the unit sphere's
+    code_noise: float  # σ of the noise on a code in the actor's objectives, before it is projected again
+    distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
+    value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # one critic's parameters, obs, action, task
+    embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE, where there is one
+    own_temperatures: bool = False  # a temperature for each task, instead of one that all share
+
+    @property
+    def parameter_counts(self) -> dict[str, int]:
+        """How many learnt numbers the policy is made of, and each critic."""
+        return {"policy": _count(self.init_policy), "critic": _count(self.init_critic)}
+
+
+def standardised(agent: Agent, obs_size: int) -> Agent:
+    """An agent whose policy standardises what it sees, with statistics that are among its parameters.
+
+    Those become `{"standardiser": …, "networks": …}`. Critics are shown standardised observations by the learner.
+    """
+
+    def init_policy(key: jax.Array) -> Params:
+        return {"standardiser": identity(obs_size), "networks": agent.init_policy(key)}
+
+    def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
+        return agent.distribution(policy["networks"], code, policy["standardiser"](obs))
+
+    embed = agent.embed
+    return replace(
+        agent,
+        init_policy=init_policy,
+        codes=lambda policy: agent.codes(policy["networks"]),
+        distribution=distribution,
+        embed=embed and (lambda policy, obs: embed(policy["networks"], policy["standardiser"](obs))),
+    )
+
+
+def critic_network(inputs: int, outputs: int, config: NetworkConfig) -> Network:
+    """What the critics of all agents are made of: ReLU layers, normalised where the settings say so."""
+    widths = (config.width,) * config.critic_layers
+    return mlp(inputs, widths, outputs, config.initialiser, config.critic_layer_norm)
+
+
+def _count(init: Callable[[jax.Array], Params]) -> int:
+    shapes = jax.eval_shape(init, jax.random.key(0))
+    learnt = shapes.get("networks", shapes)
+    return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(learnt))

@@ -1,0 +1,143 @@
+"""What is true of every agent, and what sets each apart: reach of a gradient, sizes, codes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_learner import bandit_program, begin, one_update
+
+from ear_jax import train
+from ear_jax.adapt import Search, adapt
+from ear_jax.agents import AGENTS, make_agent
+from ear_jax.config import preset_config
+from ear_jax.evaluate import play_training_tasks
+from ear_jax.interpolate import play_blends, trained_ends
+from ear_jax.learner import Learner
+from ear_jax.policy import Gaussian
+from ear_jax.runtime import compiler_options
+from ear_jax.tasks import task_set
+from ear_jax.trained import Trained
+
+CHEETAH = (17, 6, 10)  # observations, actions, tasks
+
+
+@pytest.fixture(scope="module", params=AGENTS)
+def solved(request: pytest.FixtureRequest) -> Trained:
+    """The bandit after 1,000 updates, which is enough for each agent."""
+    program = bandit_program(request.param)
+    chunk = jax.jit(partial(train.train_chunk, program), compiler_options=compiler_options())
+    state, _ = chunk(begin(program), jnp.int32(20))
+    return Trained(request.param, program, jax.tree.map(lambda leaf: leaf[None], state.learner.policy), 20)
+
+
+def test_each_agent_solves_the_bandit_as_well_as_what_it_sees_allows(solved):
+    """Best is the task's own target; of who cannot tell tasks apart, the mean of them, 0."""
+    program, policy = solved.program, jax.tree.map(lambda leaf: leaf[0], solved.policies)
+    played = play_training_tasks(program, policy, jax.random.key(2), 4)
+    best = [[0.0] * 4] * 2 if solved.name == "onehot-blind" else [[-0.5] * 4, [0.5] * 4]
+    np.testing.assert_allclose(played.late["action"], best, atol=0.1)
+
+
+def test_search_over_codes_goes_as_far_as_codes_go(solved):
+    """0.2 lies between the two trained actions: between two LTEs or one-hots there is a code for it, two heads are all.
+
+    Actions are drawn next to the mean here, so that a search of few episodes is not misled by a lucky one.
+    """
+    program, agent = solved.program, solved.program.agent
+
+    def certain(policy: Any, code: jax.Array, obs: jax.Array) -> Gaussian:
+        return replace(agent.distribution(policy, code, obs), log_std=jnp.full(1, -9.0))
+
+    sure = replace(solved, program=replace(program, agent=replace(agent, distribution=certain)))
+    tasks = task_set([program.family.parse_task("0.2")])
+    found = adapt(sure, tasks, Search(epochs=4, elites=4, samples=10), episodes=1, seed=0)["tasks"][0]
+    best, within = {"multihead": (-((0.5 - 0.2) ** 2), 0.07), "onehot-blind": (-(0.2**2), 0.05)}.get(
+        solved.name, (0.0, 0.002)
+    )
+    assert found["epochs"][-1]["reevaluated"] == pytest.approx(best, abs=within)
+    assert len(found["lte"]) == agent.code_size
+
+
+def test_a_blend_of_two_heads_is_one_of_them(solved):
+    actions = play_blends(solved, [tuple(trained_ends(solved))], (0.9, 0.6, 0.4, 0.1), episodes=1, seed=0)[0, 0]
+    if solved.name == "multihead":
+        np.testing.assert_array_equal(actions[[0, 3]], actions[[1, 2]])
+    elif solved.name != "onehot-blind":
+        assert (np.diff(actions) > 0.01).all(), "the second task's action is the larger"
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_codes_are_where_projection_leaves_them(name):
+    agent = make_agent(name, 3, 2, 4, preset_config("bandit", "smoke", name).network, 0.02)
+    table = agent.codes(agent.init_policy(jax.random.key(0)))
+    assert table.shape == (4, agent.code_size)
+    np.testing.assert_allclose(jax.vmap(agent.project)(table), table, atol=1e-6)
+    elsewhere = jax.vmap(agent.project)(jax.random.normal(jax.random.key(1), (20, agent.code_size)))
+    np.testing.assert_allclose(np.linalg.norm(elsewhere, axis=1), name != "onehot-blind", atol=1e-5)
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_parameter_counts_are_the_papers(name):
+    """Layers of settings as published, summed by hand: (inputs + 1) · outputs each."""
+    config = preset_config("halfcheetah-vel", "paper", name).network
+    hidden = (400 + 1) * 400
+    ear_policy = (18 * 400 + hidden + 401 * 16) + 11 * 3 + (20 * 400 + 3 * hidden + 401 * 12)
+    onehot_policy, onehot_critic = 28 * 400 + 3 * hidden + 401 * 12, 34 * 400 + 3 * hidden + 401
+    heads_policy, heads_critic = 18 * 400 + 2 * hidden + 401 * 120, 24 * 400 + 2 * hidden + 401 * 10
+    expected = {
+        "ear": (ear_policy, onehot_critic),
+        "onehot": (onehot_policy, onehot_critic),
+        "onehot-blind": (onehot_policy, onehot_critic),
+        "multihead": (heads_policy, heads_critic),
+    }[name]
+    counts = make_agent(name, *CHEETAH, config, 0.02).parameter_counts
+    assert (counts["policy"], counts["critic"]) == expected
+
+
+def moved(before: Any, after: Any) -> Any:
+    return jax.tree.map(lambda old, new: np.asarray(old != new), before, after)
+
+
+@pytest.fixture
+def one_task(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every item of a batch teaches the second of the bandit's two tasks."""
+    monkeypatch.setattr(Learner, "_batch_tasks", lambda self: jnp.ones(self.config.sac.batch_size, jnp.int32))
+
+
+@pytest.mark.usefixtures("one_task")
+def test_a_task_moves_its_own_lte_and_what_all_share():
+    program = bandit_program("ear")
+    before, after, _ = one_update(program, begin(program))
+    policy = moved(before.policy, after.policy)["networks"]
+    np.testing.assert_array_equal(policy["task_encoder"]["params"]["Dense_0"]["kernel"], [[False] * 3, [True] * 3])
+    assert all(leaf.any() for leaf in jax.tree.leaves((policy, moved(before.critics, after.critics))))
+    assert moved(before.log_temperature, after.log_temperature)
+
+
+@pytest.mark.usefixtures("one_task")
+def test_a_task_moves_its_own_input_of_a_onehot_policy():
+    program = bandit_program("onehot")
+    before, after, _ = one_update(program, begin(program))
+    rows = moved(before.policy, after.policy)["networks"]["params"]["Dense_0"]["kernel"].any(axis=1)
+    np.testing.assert_array_equal(rows, [True, False, True])  # the observation, and a row a task
+
+
+@pytest.mark.usefixtures("one_task")
+def test_a_task_moves_its_own_heads_and_temperature_and_the_body():
+    program = bandit_program("multihead")
+    before, after, _ = one_update(program, begin(program))
+    policy, critics = (
+        moved(before.policy, after.policy)["networks"]["params"],
+        moved(before.critics, after.critics)["params"],
+    )
+    np.testing.assert_array_equal(policy["Dense_1"]["kernel"].any(axis=0), [False, False, True, True])
+    np.testing.assert_array_equal(policy["Dense_1"]["bias"], [False, False, True, True])
+    np.testing.assert_array_equal(critics["Dense_1"]["kernel"].any(axis=1), [[False, True]] * 2)
+    np.testing.assert_array_equal(moved(before.log_temperature, after.log_temperature), [False, True])
+    assert all(leaf.any() for leaf in jax.tree.leaves((policy, critics)))
