@@ -2,7 +2,7 @@
 PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
   $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null && { echo $$p; break; }; done)
 BIN := .venv/bin
-SOURCES := ear_jax benchmarks tests
+SOURCES := ear_jax benchmarks experiments tests
 
 .PHONY: setup demo test test-slow lint format bench lock
 

@@ -14,7 +14,9 @@ from ear_jax.errors import UsageError
 Parsed = TypeVar("Parsed")
 
 
-def parse(kind: type[Parsed], words: list[str], command: str, default: Parsed | None = None) -> Parsed:
+def parse(
+    kind: type[Parsed], words: list[str], command: str, default: Parsed | None = None, program: str = "ear"
+) -> Parsed:
     """The command line as a `kind`.
 
     Args:
@@ -22,6 +24,7 @@ def parse(kind: type[Parsed], words: list[str], command: str, default: Parsed | 
       words: what follows the subcommand.
       command: the subcommand, for messages and `--help`.
       default: where settings stand that the command line does not name.
+      program: whose subcommand it is.
 
     Raises:
       UsageError: what is wrong, in one line, with the nearest real setting.
@@ -32,11 +35,11 @@ def parse(kind: type[Parsed], words: list[str], command: str, default: Parsed | 
     arguments: dict[str, Any] = {} if default is None else {"default": default}
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(kind, args=words, prog=f"ear {command}", config=config, **arguments)
+            return tyro.cli(kind, args=words, prog=f"{program} {command}", config=config, **arguments)
     except SystemExit as stop:
         if not stop.code:  # --help
             raise
-        raise UsageError(_one_line(complaint.getvalue(), command)) from None
+        raise UsageError(_one_line(complaint.getvalue(), f"{program} {command}")) from None
 
 
 def _one_line(box: str, command: str) -> str:
@@ -48,4 +51,4 @@ def _one_line(box: str, command: str) -> str:
     if "Perhaps you meant:" in lines:
         near = lines[lines.index("Perhaps you meant:") + 1].split()[0].split(",")[0]
         message += f"; did you mean {near}?"
-    return f"{message} (`ear {command} --help` tells the options)"
+    return f"{message} (`{command} --help` tells the options)"

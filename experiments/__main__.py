@@ -1,0 +1,113 @@
+"""`python -m experiments`: lists the paper's tables and figures with what is there of each; runs what is missing."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from ear_jax.cli.arguments import parse
+from ear_jax.errors import RunError, UsageError, unknown
+from ear_jax.stopping import Stopped
+from ear_jax.terminal import say
+from experiments.inventory import is_trained, jobs, missing
+from experiments.paper import EXPERIMENTS
+from experiments.reproduce import absent, make_whole, plan, possible
+
+PROGRAM = "python -m experiments"
+
+
+@dataclass(frozen=True)
+class ListCommand:
+    """Every table and figure, and what of it is there."""
+
+    preset: str = "fast"
+    """The preset of the runs."""
+    seeds: int | None = None
+    """Seeds of each run; by default the paper's number, or one for a picture."""
+
+
+@dataclass(frozen=True)
+class ReproduceCommand:
+    """Run what is missing of a table or figure; once more goes on where it stopped."""
+
+    id: tyro.conf.Positional[str]
+    """As in table-1 or figure-5."""
+    preset: str = "fast"
+    """The preset of the runs."""
+    seeds: int | None = None
+    """Seeds of each run; by default the paper's number, or one for a picture."""
+    minutes: float | None = None
+    """Stop each run past this much wall time; by default at the preset's epochs."""
+    dry_run: bool = False
+    """Only say what would be run."""
+
+
+def list_all(words: list[str]) -> None:
+    command = parse(ListCommand, words, "list", program=PROGRAM)
+    check_seeds(command.seeds)
+    table = Table()
+    for heading in ("", "shows", "runs", "documents", "waits for"):
+        table.add_column(heading, overflow="fold")
+    for experiment in EXPERIMENTS.values():
+        wanted = jobs(experiment, command.preset, command.seeds)
+        documents = sum(len(job.analyses) for job in wanted)
+        made = documents - sum(len(missing(job)) for job in wanted)
+        counts = (
+            f"{sum(map(is_trained, wanted))}/{len(wanted)}" if wanted else "–",
+            f"{made}/{documents}" if documents else "–",
+        )
+        lacking = dict.fromkeys(what for job in wanted for what in absent(job))
+        table.add_row(experiment.id, experiment.shows, *counts, ", ".join(lacking))
+    Console(highlight=False).print(table)
+    print(f"`{PROGRAM} reproduce ID` runs what is missing; with --dry-run it tells the commands.")
+
+
+def reproduce(words: list[str]) -> None:
+    command = parse(ReproduceCommand, words, "reproduce", program=PROGRAM)
+    check_seeds(command.seeds)
+    if command.id not in EXPERIMENTS:
+        raise unknown("table or figure", command.id, EXPERIMENTS)
+    wanted = jobs(EXPERIMENTS[command.id], command.preset, command.seeds, command.minutes)
+    for job in filter(None, map(possible, wanted)):
+        for line in plan(job):
+            (print if command.dry_run else say)(line)
+        if not command.dry_run:
+            make_whole(job)
+    lacking = dict.fromkeys(what for job in wanted for what in absent(job))
+    if lacking:
+        raise RunError(f"{command.id} cannot be whole without what is not there yet: {', '.join(lacking)}")
+    if not command.dry_run:
+        say(f"{command.id} is whole: {len(wanted)} runs")
+
+
+def check_seeds(seeds: int | None) -> None:
+    if seeds is not None and seeds < 1:
+        raise UsageError(f"--seeds {seeds} is too small; it must be at least 1")
+
+
+COMMANDS = {"list": list_all, "reproduce": reproduce}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
+    words = sys.argv[1:] if arguments is None else arguments
+    try:
+        if not words or words[0] not in COMMANDS:
+            raise unknown("command", words[0] if words else "", COMMANDS)
+        COMMANDS[words[0]](words[1:])
+        return 0
+    except (UsageError, RunError) as error:
+        print(f"experiments: {error}", file=sys.stderr)
+        return 2 if isinstance(error, UsageError) else 1
+    except Stopped as error:
+        return error.exit_code
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""The paper's tables and figures by number, each with the runs it needs. Data; imports no JAX.
+
+What the paper's tables say stands in `paper.json`: by id the columns, and the rows of each panel (of a seed, or of two
+tasks). The paper's figures are curves and pictures and give no numbers; its figure 1 draws the idea and needs no run.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+NUMBERS = Path(__file__).with_name("paper.json")
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """An `ear` command on a trained run, whose JSON document is kept under a name."""
+
+    name: str
+    command: str
+    options: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Method:
+    """What is trained on one family, once a seed, and what is then done with it."""
+
+    family: str
+    agent: str
+    ablation: str  # what the preset's name goes on with, as in +no-noise
+    analyses: tuple[Analysis, ...]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One table or figure."""
+
+    id: str
+    shows: str
+    methods: tuple[Method, ...] = ()  # none: it tells settings
+    seeds: int = 3  # the paper's
+
+
+def methods(
+    families: tuple[str, ...],
+    *analyses: Analysis,
+    agents: tuple[str, ...] = ("ear",),
+    ablations: tuple[str, ...] = ("",),
+) -> tuple[Method, ...]:
+    """Every agent and ablation on every family."""
+    return tuple(Method(*names, analyses) for names in product(families, agents, ablations))
+
+
+def between(kind: str, first: str, second: str, *options: str) -> Analysis:
+    """A blend of two tasks, kept as KIND-FIRST-SECOND."""
+    command = "compose" if kind == "composition" else "interpolate"
+    return Analysis(f"{kind}-{first}-{second}", command, ("--between", first, second, *options))
+
+
+def numbers() -> dict[str, Any]:
+    """The paper's tables by id: `columns`, and `panels` of rows by what they are of."""
+    return json.loads(NUMBERS.read_text())
+
+
+CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper-vel", "walker-vel")
+RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
+OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
+
+EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
+INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
+ADAPTATION = Analysis("adaptation", "adapt")
+MAP = Analysis("map", "map")
+SENSORY = Analysis("sensory", "sensory")
+STILLS = Analysis("stills", "render", ("--interpolate", "1", "2"))
+BETAS = ("--beta", "1.8", "1.5", "1.2", "-0.2", "-0.5", "-0.8")
+MET = tuple(between(f"at-{target}", "2", "3", "--target", target) for target in ("2.2", "2.5", "2.7"))
+SPEEDS_BEYOND = tuple(between("extrapolation", *pair, *BETAS) for pair in (("1", "2"), ("4", "5"), ("9", "10")))
+DIRECTIONS_BEYOND = tuple(
+    between("extrapolation", *pair, *BETAS) for pair in (("0", "15"), ("120", "135"), ("270", "285"))
+)
+COMPOSED = tuple(between("composition", *pair, "--steps", "1000") for pair in (("walk", "stand"), ("run", "jump")))
+
+TABLES = (
+    Experiment(
+        "table-1",
+        "final returns of all methods",
+        methods(FAMILIES, EVALUATION, agents=(*OFF_POLICY, "maml", "onehot-blind")),
+    ),
+    Experiment("table-2", "hyperparameters"),
+    Experiment("table-3", "training tasks of each method"),
+    Experiment("table-4", "2 and 3 m/s interpolated", methods((CHEETAH,), EVALUATION, *MET)),
+    Experiment("table-5", "success of interpolation", methods(FAMILIES, INTERPOLATION)),
+    Experiment("table-6", "extrapolation", methods((CHEETAH,), *SPEEDS_BEYOND) + methods((ANT,), *DIRECTIONS_BEYOND)),
+    Experiment(
+        "table-7", "where episodes end without LTE noise", methods((ANT,), EVALUATION, ablations=("+no-noise",))
+    ),
+    Experiment("table-8", "failures without LTE noise", methods((ANT,), EVALUATION, ablations=("", "+no-noise"))),
+    Experiment(
+        "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, ablations=("", "+no-norm"))
+    ),
+    Experiment("table-10", "composition", methods((RUN_JUMP,), *COMPOSED)),
+    Experiment("table-11", "mid-task interpolation, HalfCheetah-Vel", methods((CHEETAH,), INTERPOLATION)),
+    Experiment("table-12", "mid-task interpolation, Hopper-Vel", methods((HOPPER,), INTERPOLATION)),
+    Experiment("table-13", "mid-task interpolation, Walker-Vel", methods((WALKER,), INTERPOLATION)),
+    Experiment("table-14", "mid-task interpolation, Ant-Dir", methods((ANT,), INTERPOLATION)),
+    Experiment("table-15", "1:1 interpolation, HalfCheetah-Vel", methods((CHEETAH,), INTERPOLATION)),
+    Experiment("table-16", "1:1 interpolation, Hopper-Vel", methods((HOPPER,), INTERPOLATION)),
+    Experiment("table-17", "1:1 interpolation, Walker-Vel", methods((WALKER,), INTERPOLATION)),
+    Experiment("table-18", "1:1 interpolation, Ant-Dir", methods((ANT,), INTERPOLATION)),
+)
+FIGURES = (
+    Experiment("figure-2", "returns during training", methods(FAMILIES, agents=OFF_POLICY)),
+    Experiment("figure-3", "stills of interpolated running", methods((CHEETAH,), STILLS), seeds=1),
+    Experiment("figure-4", "stills of composed motions", methods((RUN_JUMP,), *COMPOSED), seeds=1),
+    Experiment(
+        "figure-5",
+        "adaptation to unseen tasks",
+        methods(FAMILIES, ADAPTATION, agents=("ear", "onehot", "pearl", "maml")),
+    ),
+    Experiment("figure-6", "LSEs beside raw states", methods((CHEETAH,), SENSORY), seeds=1),
+    Experiment("figure-7", "the sphere of LTEs", methods((CHEETAH,), MAP), seeds=1),
+    Experiment("figure-8", "MLP and RNN", methods((CHEETAH,), agents=("ear", "ear-rnn"))),
+    Experiment("figure-9", "returns of each speed during training", methods((CHEETAH,))),
+    Experiment("figure-10", "Metaworld-Reach: returns during training", methods((REACH,), agents=OFF_POLICY)),
+    Experiment("figure-11", "Metaworld-Reach: adaptation", methods((REACH,), ADAPTATION, agents=("ear", "pearl"))),
+    Experiment("figure-12", "training without LTE noise", methods((ANT,), ablations=("", "+no-noise"))),
+    Experiment("figure-13", "training without normalisation", methods((ANT,), ablations=("", "+no-norm"))),
+    Experiment(
+        "figure-14", "adaptation without normalisation", methods((ANT,), ADAPTATION, ablations=("", "+no-norm"))
+    ),
+)
+EXPERIMENTS = {experiment.id: experiment for experiment in (*TABLES, *FIGURES)}

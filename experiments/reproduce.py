@@ -1,0 +1,121 @@
+"""Runs what is missing of a table or figure, each step an `ear` command in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+from ear_jax import records
+from ear_jax.agents import AGENTS
+from ear_jax.cli.main import COMMANDS
+from ear_jax.envs import FAMILIES
+from ear_jax.errors import RunError
+from ear_jax.stopping import Stopped
+from experiments.inventory import Job, is_whole, missing
+from experiments.paper import Analysis
+
+RUNS = Path("runs")
+
+
+def train_words(job: Job) -> list[str]:
+    """The `ear` command that trains a job, or continues it, or finds it finished."""
+    config = job.config
+    words = ["train", config.family, "--agent", config.agent, "--preset", config.preset, "--seed", str(config.seed)]
+    return words if config.minutes is None else [*words, "--minutes", f"{config.minutes:g}"]
+
+
+def analysis_words(job: Job, analysis: Analysis) -> list[str]:
+    return [analysis.command, str(RUNS / job.name), *analysis.options, "--json"]
+
+
+def absent(job: Job) -> list[str]:
+    """What a job needs that this package does not have."""
+    family, agent = job.config.family, job.config.agent
+    commands = dict.fromkeys(one.command for one in job.analyses if one.command not in COMMANDS)
+    return [
+        *([] if family in FAMILIES else [f"family {family}"]),
+        *([] if agent in AGENTS else [f"agent {agent}"]),
+        *(f"`ear {command}`" for command in commands),
+    ]
+
+
+def possible(job: Job) -> Job | None:
+    """The job without the analyses that this package cannot make; None where it cannot even train."""
+    if job.config.family not in FAMILIES or job.config.agent not in AGENTS:
+        return None
+    return replace(job, analyses=tuple(one for one in job.analyses if one.command in COMMANDS))
+
+
+def plan(job: Job) -> list[str]:
+    """The command lines that would make a job whole."""
+    if is_whole(job):
+        return []
+    steps = [train_words(job), *(analysis_words(job, one) for one in missing(job))]
+    return [shlex.join(["ear", *words]) for words in steps]
+
+
+def make_whole(job: Job) -> None:
+    """Trains a job and analyses it, as far as that has not been done.
+
+    Raises:
+      RunError, Stopped: as `run_ear`; what has been done stays, and the next call goes on from there.
+    """
+    if is_whole(job):
+        return
+    run_ear(train_words(job))
+    keep_training(job)
+    for analysis in missing(job):
+        words = analysis_words(job, analysis)
+        document = json.loads(run_ear(words))
+        command = shlex.join(["ear", *words])
+        records.write_json(
+            job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()}
+        )
+
+
+def keep_training(job: Job) -> None:
+    """Makes the record that of the run; documents of another run of that name go."""
+    run, rows = RUNS / job.name, (RUNS / job.name / "metrics.jsonl").read_bytes()
+    kept = job.record / "metrics.jsonl"
+    if kept.is_file() and kept.read_bytes() == rows:
+        return
+    shutil.rmtree(job.record, ignore_errors=True)
+    job.record.mkdir(parents=True)
+    shutil.copyfile(run / "config.json", job.record / "config.json")
+    kept.write_bytes(rows)
+
+
+def run_ear(words: list[str]) -> str:
+    """Runs an `ear` command with its messages on our stderr, and returns its stdout.
+
+    Raises:
+      Stopped: we were asked to stop, and so was it.
+      RunError: it failed.
+    """
+    child = subprocess.Popen([sys.executable, "-m", "ear_jax.cli.main", *words], stdout=subprocess.PIPE, text=True)
+
+    asked: list[int] = []
+
+    def wait_for_it(number: int, frame: FrameType | None) -> None:
+        asked.append(number)
+        if number == signal.SIGTERM:  # Ctrl-C reaches it by itself
+            child.terminate()
+
+    before = {number: signal.signal(number, wait_for_it) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        output, _ = child.communicate()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if asked:
+        raise Stopped(asked[0])
+    if child.returncode:
+        raise RunError(f"`{shlex.join(['ear', *words])}` ended with exit code {child.returncode}")
+    return output

@@ -1,0 +1,292 @@
+"""The paper's numbers against its LaTeX, which runs each table and figure needs, and running what is missing."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ear_jax import records
+from ear_jax.cli import main as ear
+from ear_jax.config import Config, preset_config
+from ear_jax.errors import RunError
+from experiments import inventory, reproduce
+from experiments.__main__ import main
+from experiments.inventory import is_trained, is_whole, jobs, missing
+from experiments.paper import EXPERIMENTS, FIGURES, TABLES, numbers
+
+# Rows of the paper's LaTeX as they stand there from the first & on, and where: a row of a panel, or part of a column.
+OURS = (
+    r"& \textbf{-136.9$\pm$1.29} & \textbf{1216.7$\pm$54.97} "
+    r"& \textbf{173.5$\pm$11.09} & \textbf{172.7$\pm$4.05}\\"
+)
+ROWS = [
+    ("table-1", "", 0, OURS),
+    ("table-1", "", 1, r"& -500.9$\pm$47.33 & 422.8$\pm$29.40  & 34.0$\pm$41.92  & -4.9$\pm$0.58  \\"),
+    ("table-1", "", 4, r"& -609.0$\pm$8.10 & 195.7$\pm$0.29 & 90.7$\pm$2.39 & 65.0$\pm$20.83   \\"),
+    ("table-2", "", 10, r"& 1280 & 1280 & 1920 \\"),
+    ("table-4", "seed 2", 3, r"& 0.30 & 2.69m/s \\"),
+    ("table-5", "", 1, r"& 25/27 & 27/27 & 25/27 & 66/72 \\"),
+    ("table-6", "vel-9 & vel-10", 2, r"& 1.2 & 8.76 \\"),
+    ("table-6", "dir-0 & dir-15", 5, r"& -0.8 & 49.29 \\"),
+    ("table-7", "", 2, r"& 144 \\"),
+    ("table-8", "", 0, r"& 16 in 72 tasks \\"),
+    ("table-9", "", 1, r"&  \textbf{70/72}  & \textbf{66/72} \\"),
+    ("table-10", "seed 3", 0, r"& 0.27 \\"),
+]
+COLUMNS = [
+    ("table-12", "seed 3", "beta", 0, r"& 0.51 & 0.52 & 0.52 & 0.58 & 0.48 & 0.72 & 0.63 & 0.58 & 0.04 \\"),
+    (
+        "table-14",
+        "seed 1",
+        "outcome",
+        16,
+        r"& 247.50 & 262.48 & 277.50 & 292.61 & 307.56 & 322.49 & 337.55 & 352.42 \\",
+    ),
+    ("table-14", "seed 3", "target", 8, r"&  127.5 &  142.5&  157.5&  172.5&  187.5&  202.5&  217.5&  232.5 \\"),
+    ("table-15", "seed 1", "outcome", 0, r"& 0.96 & 2.42 & 3.30 & 4.43 & 5.46 & 6.45 & 7.49 & 8.46 & 9.49  \\"),
+    ("table-17", "seed 2", "outcome", 0, r"& 0.26 & 0.46 & 0.67 & 0.89 & 1.08 & 1.28 & 1.51 & 1.72 & 1.97 \\"),
+    ("table-18", "seed 3", "outcome", 8, r"& 129.20 & 152.40 & 157.35 & 308.21 & 189.11 & 201.22 & 218.09 & 230.26 \\"),
+]
+
+
+def printed(line: str) -> list[float]:
+    return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", line)]
+
+
+def numbers_in(row: list[Any]) -> list[float]:
+    cells = [list(cell.values()) if isinstance(cell, dict) else [cell] for cell in row]
+    return [value for cell in cells for value in cell if not isinstance(value, str)]
+
+
+@pytest.mark.parametrize(("table", "panel", "row", "line"), ROWS)
+def test_rows_are_as_printed(table, panel, row, line):
+    expected = printed(line)
+    assert numbers_in(numbers()[table]["panels"][panel][row])[-len(expected) :] == expected
+
+
+@pytest.mark.parametrize(("table", "panel", "column", "first", "line"), COLUMNS)
+def test_columns_are_as_printed(table, panel, column, first, line):
+    data, expected = numbers()[table], printed(line)
+    place = data["columns"].index(column)
+    assert [row[place] for row in data["panels"][panel][first : first + len(expected)]] == expected
+
+
+def test_every_table_and_figure_is_there_and_every_table_has_its_numbers():
+    assert [table.id for table in TABLES] == [f"table-{number}" for number in range(1, 19)] == list(numbers())
+    assert [figure.id for figure in FIGURES] == [f"figure-{number}" for number in range(2, 15)]
+    for table in numbers().values():
+        assert all(len(row) == len(table["columns"]) for rows in table["panels"].values() for row in rows)
+    rows = [[len(rows) for rows in numbers()[f"table-{number}"]["panels"].values()] for number in range(11, 19)]
+    assert rows == 2 * [[9] * 3, [9] * 3, [9] * 3, [24] * 3]
+
+
+def test_the_paper_preset_has_the_papers_hyperparameters():
+    """But for the learning rate, which lost its exponent in print."""
+    data = numbers()["table-2"]
+    printed = {row[0]: dict(zip(data["columns"][1:], row[1:], strict=True)) for row in data["panels"][""]}
+    for families in data["columns"][1:]:
+        for family in families.split(" and "):
+            config = preset_config(family, "paper")
+            ours = {
+                "LSE shape": config.network.lse_size,
+                "LTE shape": config.network.lte_size,
+                "discount": config.sac.discount,
+                "batch size": config.sac.batch_size,
+                "replay buffer": config.replay.capacity,
+                "pretrain epochs": config.collect.pretrain_epochs,
+                "training epochs": config.epochs,
+                "optimization times": config.sac.updates,
+                "evaluation episodes": config.log.episodes,
+            }
+            assert ours == {name: printed[name][families] for name in ours}
+
+
+def test_every_analysis_is_a_command_line_that_ear_understands(tmp_path, monkeypatch, capsys):
+    """As far as the command is there: without a run it complains of nothing else."""
+    monkeypatch.chdir(tmp_path)
+    analyses = {one for experiment in EXPERIMENTS.values() for method in experiment.methods for one in method.analyses}
+    understood = [one for one in analyses if one.command in ear.COMMANDS]
+    assert len(understood) >= 12
+    for analysis in understood:
+        assert ear.main([analysis.command, "nowhere", *analysis.options, "--json"]) == 2
+        assert "nowhere is not a run directory" in capsys.readouterr().err, analysis.name
+    names = [one.name for one in analyses]
+    assert len(names) == len(set(names)), "a document's name tells its command"
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """No records, and an `ear` that trains to the last epoch at once; the command lines it got."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(inventory, "RECORDS", tmp_path / "records")
+    asked: list[str] = []
+
+    def run_ear(words: list[str]) -> str:
+        asked.append(" ".join(words))
+        if words[0] != "train":
+            return json.dumps({"answer": len(asked)})
+        job = next(job for job in ALL if reproduce.train_words(job) == words)
+        write_run(tmp_path / "runs" / job.name, job.config)
+        return ""
+
+    monkeypatch.setattr(reproduce, "run_ear", run_ear)
+    return asked
+
+
+def write_run(directory: Path, config: Config, **row: float) -> None:
+    directory.mkdir(parents=True, exist_ok=True)
+    records.write_json(directory / "config.json", {"config": dataclasses.asdict(config)})
+    (directory / "metrics.jsonl").write_text(json.dumps({"epoch": config.epochs, "seconds": 60.0, **row}) + "\n")
+
+
+ALL = [job for experiment in EXPERIMENTS.values() for job in jobs(experiment, "fast")]
+
+
+def test_what_is_missing_is_run_and_then_nothing_is(workplace):
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    runs = [f"ant-dir-ear-fast{ablation}-seed0" for ablation in ("", "+no-noise")]
+    train, evaluate = "train ant-dir --agent ear --preset fast", "evaluate runs/{} --episodes 5 --json"
+    assert workplace == [
+        f"{train} --seed 0",
+        evaluate.format(runs[0]),
+        f"{train}+no-noise --seed 0",
+        evaluate.format(runs[1]),
+    ]
+    document = json.loads((inventory.RECORDS / runs[0] / "evaluation.json").read_text())
+    assert (document["answer"], document["command"]) == (2, "ear " + workplace[1])
+    assert {"machine", "versions", "commit"} <= set(document)
+    workplace.clear()
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    assert workplace == []
+    (inventory.RECORDS / runs[1] / "evaluation.json").unlink()
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    assert [words.split()[0] for words in workplace] == ["train", "evaluate"]
+
+
+def test_training_anew_drops_what_was_said_of_the_run_before(workplace):
+    job = jobs(EXPERIMENTS["table-15"], "fast", seeds=1)[0]
+    write_run(job.record, job.config, epoch=1)
+    (job.record / "adaptation.json").write_text("{}")
+    assert not is_trained(job)
+    assert missing(job) == list(job.analyses)
+    assert main(["reproduce", "table-15", "--seeds", "1"]) == 0
+    assert is_whole(job)
+    assert not (job.record / "adaptation.json").exists()
+
+
+def test_a_run_counts_by_its_settings_and_its_budget(workplace):
+    job = jobs(EXPERIMENTS["figure-9"], "fast", seeds=1)[0]
+    for config, row, expected in (
+        (job.config, {}, True),
+        (dataclasses.replace(job.config, minutes=3.0, engine="native"), {}, True),
+        (dataclasses.replace(job.config, sac=dataclasses.replace(job.config.sac, lr=1e-4)), {}, False),
+        (job.config, {"epoch": job.config.epochs - 1}, False),
+    ):
+        write_run(job.record, config, **row)
+        assert is_trained(job) == expected
+    half = dataclasses.replace(job, config=dataclasses.replace(job.config, minutes=1.0))
+    assert is_trained(half), "60 seconds are its minute"
+    document = json.loads((job.record / "config.json").read_text())
+    document["config"]["forgotten"] = 1
+    records.write_json(job.record / "config.json", document)
+    assert not is_trained(half)
+    shutil.rmtree(job.record)
+    assert not is_trained(half)
+
+
+def test_dry_run_prints_the_commands_and_writes_nothing(workplace, capsys, tmp_path):
+    assert main(["reproduce", "table-4", "--preset", "paper", "--seeds", "2", "--minutes", "9", "--dry-run"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 * 5
+    assert lines[0] == "ear train halfcheetah-vel --agent ear --preset paper --seed 0 --minutes 9"
+    assert lines[2] == "ear interpolate runs/halfcheetah-vel-ear-paper-seed0 --between 2 3 --target 2.2 --json"
+    assert (workplace, list(tmp_path.iterdir())) == ([], [])
+
+
+def test_what_cannot_be_run_yet_is_named_after_the_rest_has_run(workplace, monkeypatch, capsys):
+    monkeypatch.delitem(reproduce.COMMANDS, "compose", raising=False)
+    assert main(["reproduce", "table-10", "--seeds", "1"]) == 1
+    assert [words.split()[0] for words in workplace] == ["train"]
+    assert "table-10 cannot be whole without what is not there yet: `ear compose`" in capsys.readouterr().err
+
+
+def test_list_tells_what_is_there(workplace, capsys):
+    assert main(["reproduce", "table-15", "--seeds", "1"]) == 0
+    capsys.readouterr()
+    assert main(["list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(bool(re.match(r"│ (table|figure)-\d+ ", line)) for line in lines) == 31
+    assert re.search(r"│ 1/3 +│ 1/3 +│", next(line for line in lines if "table-15" in line))
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("", "unknown command ''"),
+        ("lst", "did you mean 'list'"),
+        ("reproduce tabel-4", "did you mean 'table-4'"),
+        ("reproduce table-1 --preset fats", "did you mean 'fast'"),
+        ("reproduce table-1 --seeds 0", "must be at least 1"),
+        ("reproduce table-1 --dry", "did you mean --dry-run? (`python -m experiments reproduce --help`"),
+    ],
+)
+def test_a_mistake_gets_one_line(words, complaint, workplace, capsys):
+    assert main(words.split()) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert (error[:13], error.count("\n")) == ("experiments: ", 1)
+
+
+def test_a_command_that_fails_is_named_with_its_exit_code(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RunError, match=r"`ear evaluate nowhere` ended with exit code 2"):
+        reproduce.run_ear(["evaluate", "nowhere"])
+    assert "nowhere is not a run directory" in capfd.readouterr().err
+
+
+def test_a_signal_is_passed_on_and_waited_for(tmp_path):
+    """The command in the middle of its work is a stand-in that says when it has begun, and that it has saved."""
+    stand_in = tmp_path / "ear_jax" / "cli" / "main.py"
+    stand_in.parent.mkdir(parents=True)
+    for package in (tmp_path / "ear_jax", stand_in.parent):
+        (package / "__init__.py").touch()
+    stand_in.write_text(
+        "import signal, sys, time\n"
+        "def save(*_):\n    open('saved', 'w').close()\n    sys.exit(143)\n"
+        "signal.signal(signal.SIGTERM, save)\nopen('begun', 'w').close()\ntime.sleep(60)\n"
+    )
+    code = (
+        "import sys; from experiments import reproduce; from ear_jax.stopping import Stopped\n"
+        "try: reproduce.run_ear(['train'])\nexcept Stopped as stopped: sys.exit(stopped.exit_code)"
+    )
+    root = str(Path(reproduce.__file__).parents[1])
+    ours = subprocess.Popen([sys.executable, "-c", f"import sys; sys.path[0] = {root!r}\n{code}"], cwd=tmp_path)
+    for _ in range(1200):
+        if (tmp_path / "begun").exists():
+            break
+        time.sleep(0.05)
+    ours.terminate()
+    assert ours.wait(timeout=30) == 143
+    assert (tmp_path / "saved").exists()
+
+
+@pytest.mark.slow
+def test_a_figure_is_reproduced_for_real(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(inventory, "RECORDS", tmp_path / "records")
+    words = ["reproduce", "table-15", "--preset", "smoke", "--seeds", "1"]
+    assert main(words) == 0
+    record = tmp_path / "records" / "halfcheetah-vel-ear-smoke-seed0"
+    assert json.loads((record / "interpolation.json").read_text())["one_to_one"]["total"] == 2
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+    assert main(words) == 0
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
