@@ -1,0 +1,182 @@
+"""`ear render RUN`."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import tyro
+
+from ear_jax.agents import Agent
+from ear_jax.cli.arguments import parse
+from ear_jax.codes import blend, slerp
+from ear_jax.envs.family import Family
+from ear_jax.errors import RunError, UsageError
+from ear_jax.networks import Params
+from ear_jax.render import arrange, film, photograph
+from ear_jax.report.strip import draw_strip
+from ear_jax.report.video import write_gif, write_mp4
+from ear_jax.runtime import enable_cache
+from ear_jax.terminal import phase, say
+from ear_jax.train import Program
+from ear_jax.trained import load
+from ear_jax.trajectory import Trajectory, follow
+
+BETAS = (0.75, 0.5, 0.25)
+
+
+@dataclass(frozen=True)
+class RenderCommand:
+    """Show what the policy does under tasks it was trained on, under a code, or between two tasks."""
+
+    run: tyro.conf.Positional[Path]
+    """The run directory."""
+    task: tuple[str, ...] = ()
+    """Tasks it was trained on, as in 2 or 1 2 3."""
+    lte: tuple[float, ...] = ()
+    """A code, as in 0.1 0.7 -0.7; it is taken to the sphere."""
+    interpolate: tuple[str, str] | None = None
+    """Two tasks, as in 1 2, and blends of them."""
+    beta: tuple[float, ...] = ()
+    """The blends, 0.75 0.5 0.25 if not given: 1 is the first task, 0 the second; outside [0, 1] they extrapolate."""
+    along: Literal["chord", "arc"] = "chord"
+    """The paper's normalised sum, or the great circle."""
+    steps: int = 100
+    """Environment steps, as many as in the paper's figure 3."""
+    seed: int = 0
+    """Seeds the start, which is the same for all."""
+    policy: int = 0
+    """Of a run of several seeds, whose policy: 0 is the first."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One thing to show."""
+
+    name: str
+    code: jax.Array  # [code]
+
+
+def main(words: list[str]) -> None:
+    command = parse(RenderCommand, words, "render")
+    _check(command)
+    enable_cache()
+    trained = load(command.run)
+    program, seeds = trained.program, trained.program.config.seeds
+    if not 0 <= command.policy < seeds:
+        raise UsageError(f"--policy {command.policy} is none of the run's: it has {seeds}, and the first is 0")
+    policy = jax.tree.map(lambda leaf: leaf[command.policy], trained.policies)
+    scenes = _scenes(command, program, policy)
+    with phase("rolling out"):
+        codes = jnp.stack([scene.code for scene in scenes])
+        trajectories = follow(program, policy, codes, command.steps, jax.random.key(command.seed))
+    files = _draw(command.run, _file_name(command, scenes), program.family, scenes, trajectories)
+    if not command.json:
+        print("pictures: " + ", ".join(map(str, files.values())))
+        return
+    document = {
+        "seed": program.config.seed + command.policy,
+        "commanded": {"outcome": program.family.commanded, "unit": program.family.unit},
+        "scenes": [
+            {
+                "name": scene.name,
+                "lte": scene.code.tolist(),
+                "steps": len(trajectory.qpos) - 1,
+                "fell": trajectory.fell,
+                "outcome": trajectory.achieved,
+            }
+            for scene, trajectory in zip(scenes, trajectories, strict=True)
+        ],
+        "files": {kind: str(path) for kind, path in files.items()},
+    }
+    print(json.dumps(document))
+
+
+def _check(command: RenderCommand) -> None:
+    """Refuses what makes no sense whatever the run."""
+    if sum(map(bool, (command.task, command.lte, command.interpolate))) != 1:
+        raise UsageError("say one of --task X, --lte x y z and --interpolate A B")
+    if command.beta and not command.interpolate:
+        raise UsageError("--beta goes with --interpolate A B alone")
+    if command.steps < 1:
+        raise UsageError(f"--steps {command.steps} is too small; it must be at least 1")
+    for option, numbers in (("beta", command.beta), ("lte", command.lte)):
+        if not all(map(math.isfinite, numbers)):
+            raise UsageError(f"--{option} {' '.join(map(str, numbers))}: each must be a finite number")
+
+
+def _scenes(command: RenderCommand, program: Program, policy: Params) -> list[Scene]:
+    """What is asked for, in the order it is shown."""
+    agent, tasks, table = program.agent, program.tasks, program.agent.codes(policy)
+
+    def row(name: str) -> int:
+        return tasks.index(program.family.parse_task(name).name)
+
+    if command.task:
+        return [Scene(tasks.names[index], table[index]) for index in map(row, command.task)]
+    if command.lte:
+        return [Scene("LTE " + " ".join(f"{number:g}" for number in command.lte), _code(command.lte, program.agent))]
+    one, other = map(row, command.interpolate or ())
+    if one == other:
+        raise UsageError(f"--interpolate {' '.join(command.interpolate or ())} names one task twice")
+
+    def between(beta: float) -> Scene:
+        first, second, share = table[one], table[other], jnp.float32(beta)
+        arc = command.along == "arc"
+        code = slerp(first, second, share) if arc else blend(first, second, share, agent.project)
+        return Scene(f"β = {beta:g}", code)
+
+    blends = [between(beta) for beta in sorted(command.beta or BETAS, reverse=True)]
+    return [Scene(tasks.names[one], table[one]), *blends, Scene(tasks.names[other], table[other])]
+
+
+def _code(numbers: tuple[float, ...], agent: Agent) -> jax.Array:
+    """The code nearest to what a person typed."""
+    if len(numbers) != agent.code_size:
+        raise UsageError(f"--lte has {len(numbers)} numbers; this run's codes have {agent.code_size}")
+    if not any(numbers):
+        raise UsageError("--lte is zero, which is no direction; name another point")
+    return agent.project(jnp.array(numbers))
+
+
+def _file_name(command: RenderCommand, scenes: list[Scene]) -> str:
+    names = [scene.name for scene in scenes]
+    name = f"{names[0]}_to_{names[-1]}" if command.interpolate else "_".join(names)
+    return re.sub(r"[^\w.-]+", "_", name)
+
+
+def _draw(run: Path, name: str, family: Family, scenes: list[Scene], trajectories: list[Trajectory]) -> dict[str, Path]:
+    """Writes strip and films; without OpenGL only the strip, as sticks, and then raises RunError."""
+    figures, videos = run / "figures", run / "videos"
+    figures.mkdir(exist_ok=True)
+    labels = [_label(family, *pair) for pair in zip(scenes, trajectories, strict=True)]
+    strip = arrange(family.model, trajectories, labels, family.dt)
+    path = figures / f"strip_{name}.png"
+    try:
+        with phase("drawing the strip"):
+            draw_strip(path, photograph(strip), strip.bounds, strip.note)
+        with phase("filming"):
+            pictures, seconds = film(family.model, trajectories, [scene.name for scene in scenes], family.dt)
+    except RunError as error:
+        draw_strip(path, strip.panels, strip.bounds, strip.note)
+        raise RunError(f"{error}; without it there is {path}, and no film") from None
+    videos.mkdir(exist_ok=True)
+    files = {"strip": path, "gif": write_gif(videos / f"{name}.gif", pictures, seconds)}
+    film_mp4 = write_mp4(videos / f"{name}.mp4", pictures, seconds)
+    if film_mp4:
+        return {**files, "mp4": film_mp4}
+    say("no MP4: there is no ffmpeg on the PATH")
+    return files
+
+
+def _label(family: Family, scene: Scene, trajectory: Trajectory) -> str:
+    fell = "\nfell" if trajectory.fell else ""
+    return f"{scene.name}\n{trajectory.achieved:.2f} {family.unit}{fell}"
