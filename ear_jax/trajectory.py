@@ -21,6 +21,7 @@ class Trajectory:
 
     qpos: np.ndarray  # [steps + 1, nq], one environment step apart
     fell: bool
+    outcomes: dict[str, np.ndarray]  # [steps]
     achieved: float  # the commanded quantity, as an evaluation measures it
 
 
@@ -67,7 +68,8 @@ def _until_over(program: Program, seen: dict[str, np.ndarray], over: np.ndarray)
     fell = bool(over[:-1].any())
     last = int(over.argmax()) if fell else len(over) - 1
     qpos = seen.pop("qpos")[: last + 1]
+    outcomes = {name: values[: max(last, 1)] for name, values in seen.items()}
     # Averaged as an evaluation does: over the second half, and over all of it.
-    count = max(last, 1)
-    late, whole = ({name: value[begin:count].mean() for name, value in seen.items()} for begin in (count // 2, 0))
-    return Trajectory(qpos, fell, float(program.family.achieved(late, whole)))
+    late = {name: values[len(values) // 2 :].mean() for name, values in outcomes.items()}
+    whole = {name: values.mean() for name, values in outcomes.items()}
+    return Trajectory(qpos, fell, outcomes, float(program.family.achieved(late, whole)))

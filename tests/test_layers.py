@@ -25,7 +25,7 @@ LAYERS = [
     {"trained"},
     {"evaluate", "trajectory"},
     {"atlas", "interpolate", "sensing", "render"},
-    {"adapt"},
+    {"adapt", "compose"},
     {"run"},
     {"cli"},
 ]

@@ -74,7 +74,7 @@ def running(cheetah: mujoco.MjModel, speed: float, steps: int = 100, fell: bool 
     """The cheetah in its own pose, carried along x at `speed` m/s with 20 poses a second."""
     qpos = np.tile(cheetah.qpos0, (steps + 1, 1))
     qpos[:, 0] = speed * np.arange(steps + 1) / 20
-    return Trajectory(qpos, fell, speed)
+    return Trajectory(qpos, fell, {}, speed)
 
 
 def strip(cheetah: mujoco.MjModel, *speeds: float) -> Strip:
@@ -147,7 +147,7 @@ def test_robots_that_roam_share_a_panel():
     for across, away in ((1, 0), (0, 1)):
         qpos = np.tile(ant.qpos0, (51, 1))
         qpos[:, 0], qpos[:, 1] = np.outer((across, away), np.linspace(0, 5, 51))
-        ways.append(Trajectory(qpos, False, 0.0))
+        ways.append(Trajectory(qpos, False, {}, 0.0))
     found = arrange(ant, ways, ["dir-0", "dir-90"], 0.05)
     (panel,) = found.panels
     east, north = (np.array(track.flag[:2]) for track in panel.tracks)

@@ -13,6 +13,7 @@ COMMANDS = {
     "train": ("ear_jax.cli.train", "train a policy on a family of tasks, or continue a run"),
     "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks"),
     "interpolate": ("ear_jax.cli.interpolate", "do what lies between two trained tasks, or beyond them"),
+    "compose": ("ear_jax.cli.compose", "do two tasks of different kinds at once"),
     "adapt": ("ear_jax.cli.adapt", "find the codes of tasks never trained on"),
     "map": ("ear_jax.cli.map", "draw what every place on the sphere of codes does"),
     "lse": ("ear_jax.cli.lse", "compare the state embedding along a gait with the raw state"),

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import tyro
 
-from ear_jax.agents import Agent
+from ear_jax import ltes
 from ear_jax.cli.arguments import parse
 from ear_jax.codes import blend, slerp
-from ear_jax.envs.family import Family
+from ear_jax.envs import Family, find_task
 from ear_jax.errors import RunError, UsageError
 from ear_jax.networks import Params
 from ear_jax.render import arrange, film, photograph
@@ -39,8 +39,8 @@ class RenderCommand:
     """The run directory."""
     task: tuple[str, ...] = ()
     """Tasks it was trained on, as in 2 or 1 2 3."""
-    lte: tuple[float, ...] = ()
-    """A code, as in 0.1 0.7 -0.7; it is taken to the sphere."""
+    lte: tuple[str, ...] = ()
+    """An LTE saved by `ear adapt --save`, or its numbers, as in 0.1 0.7 -0.7; they are taken to the sphere."""
     interpolate: tuple[str, str] | None = None
     """Two tasks, as in 1 2, and blends of them."""
     beta: tuple[float, ...] = ()
@@ -108,9 +108,8 @@ def _check(command: RenderCommand) -> None:
         raise UsageError("--beta goes with --interpolate A B alone")
     if command.steps < 1:
         raise UsageError(f"--steps {command.steps} is too small; it must be at least 1")
-    for option, numbers in (("beta", command.beta), ("lte", command.lte)):
-        if not all(map(math.isfinite, numbers)):
-            raise UsageError(f"--{option} {' '.join(map(str, numbers))}: each must be a finite number")
+    if not all(map(math.isfinite, command.beta)):
+        raise UsageError(f"--beta {' '.join(map(str, command.beta))}: each must be a finite number")
 
 
 def _scenes(command: RenderCommand, program: Program, policy: Params) -> list[Scene]:
@@ -118,12 +117,13 @@ def _scenes(command: RenderCommand, program: Program, policy: Params) -> list[Sc
     agent, tasks, table = program.agent, program.tasks, program.agent.codes(policy)
 
     def row(name: str) -> int:
-        return tasks.index(program.family.parse_task(name).name)
+        return tasks.index(find_task(program.family, name).name)
 
     if command.task:
         return [Scene(tasks.names[index], table[index]) for index in map(row, command.task)]
     if command.lte:
-        return [Scene("LTE " + " ".join(f"{number:g}" for number in command.lte), _code(command.lte, program.agent))]
+        codes = ltes.find(command.run, command.lte, program.config.seeds, agent.code_size)
+        return [Scene("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
     one, other = map(row, command.interpolate or ())
     if one == other:
         raise UsageError(f"--interpolate {' '.join(command.interpolate or ())} names one task twice")
@@ -136,15 +136,6 @@ def _scenes(command: RenderCommand, program: Program, policy: Params) -> list[Sc
 
     blends = [between(beta) for beta in sorted(command.beta or BETAS, reverse=True)]
     return [Scene(tasks.names[one], table[one]), *blends, Scene(tasks.names[other], table[other])]
-
-
-def _code(numbers: tuple[float, ...], agent: Agent) -> jax.Array:
-    """The code nearest to what a person typed."""
-    if len(numbers) != agent.code_size:
-        raise UsageError(f"--lte has {len(numbers)} numbers; this run's codes have {agent.code_size}")
-    if not any(numbers):
-        raise UsageError("--lte is zero, which is no direction; name another point")
-    return agent.project(jnp.array(numbers))
 
 
 def _file_name(command: RenderCommand, scenes: list[Scene]) -> str:

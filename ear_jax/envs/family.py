@@ -36,6 +36,7 @@ class Family(Env):
     substeps: ClassVar[int]  # MuJoCo steps in one environment step
     mjx_solver: ClassVar[tuple[int, int]]  # solver and line-search iterations of MJX, measured
     bodies: tuple[str, ...] = ()  # bodies whose positions `outcome` reads
+    feet: ClassVar[dict[str, str]] = {}  # bodies that touch the ground, by what to call them
     commanded: ClassVar[str]  # the outcome that a task's target commands
     unit: ClassVar[str]  # of the target and of that outcome
     period: ClassVar[float | None] = None  # where that quantity wraps, as directions do at 360

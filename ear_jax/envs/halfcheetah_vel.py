@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -15,6 +17,7 @@ class HalfCheetah(Family):
 
     model_file = "half_cheetah.xml"
     substeps = 5
+    feet: ClassVar[dict[str, str]] = {"hind": "bfoot", "front": "ffoot"}
     mjx_solver = (4, 8)  # worst error of a step in qpos 3.8e-5, with more the same
 
     def initial(self, key: jax.Array) -> Physics:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -14,6 +16,7 @@ class HopperVel(LeggedVelocityFamily):
 
     name = "hopper-vel"
     model_file = "hopper.xml"
+    feet: ClassVar[dict[str, str]] = {"only": "foot"}
     mjx_solver = (4, 8)  # worst error of a step in qpos 6.5e-6, with more the same
     alive_bonus = 1.05
 

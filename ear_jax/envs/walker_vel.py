@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -14,6 +16,7 @@ class WalkerVel(LeggedVelocityFamily):
 
     name = "walker-vel"
     model_file = "walker2d.xml"
+    feet: ClassVar[dict[str, str]] = {"right": "foot", "left": "foot_left"}
     mjx_solver = (6, 12)  # worst error of a step in qpos 1.5e-6; with (4, 8) 5.1e-4, with more the same
     alive_bonus = 1.0
 

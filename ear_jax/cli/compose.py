@@ -1,0 +1,77 @@
+"""`ear compose RUN`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from ear_jax import records
+from ear_jax.cli.arguments import parse
+from ear_jax.cli.interpolate import find_end
+from ear_jax.compose import BETAS, compose
+from ear_jax.errors import UsageError
+from ear_jax.report.gaits import draw_gaits
+from ear_jax.runtime import enable_cache
+from ear_jax.terminal import phase
+from ear_jax.trained import load
+
+
+@dataclass(frozen=True)
+class ComposeCommand:
+    """Do two tasks of different kinds at once: a grid of blends of their LTEs, f(β Z₁ + (1 − β) Z₂)."""
+
+    run: tyro.conf.Positional[Path]
+    """The run directory."""
+    between: tuple[str, str]
+    """Two tasks it was trained on, as in walk stand, or LTEs saved by `ear adapt --save`."""
+    beta: tuple[float, ...] = BETAS
+    """The blends: 1 is the first, 0 the second."""
+    steps: int = 1000
+    """Environment steps of each."""
+    seed: int = 0
+    """Seeds the start."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(ComposeCommand, words, "compose")
+    if command.steps < 2:
+        raise UsageError(f"--steps {command.steps} is too small; it must be at least 2")
+    if not command.beta or not all(map(math.isfinite, command.beta)):
+        raise UsageError("--beta needs finite numbers, as in 1 0.5 0")
+    enable_cache()
+    trained = load(command.run)
+    first, second = (find_end(trained, command.run, word) for word in command.between)
+    if first.name == second.name:
+        raise UsageError(f"--between {' '.join(command.between)} names one task twice")
+    with phase(f"rolling out {len(command.beta)} blends"):
+        document = compose(trained, first, second, command.beta, command.steps, command.seed)
+    records.write_json(command.run / "composition.json", {**document, **records.provenance()})
+    pictures = draw_gaits(command.run / "figures", document)
+    if command.json:
+        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
+        return
+    _print(document)
+    print("pictures: " + ", ".join(str(path) for path in pictures))
+
+
+def _print(document: dict[str, Any]) -> None:
+    names = list(document["seeds"][0]["blends"][0]["outcome"])
+    table = Table(title=f"{document['between'][0]} (β = 1) to {document['between'][1]} (β = 0)", title_justify="left")
+    for heading in ("seed", "β", *names, *(f"{foot} foot down" for foot in document["feet"]), "steps"):
+        table.add_column(heading, justify="right")
+    for one in document["seeds"]:
+        for blend in one["blends"]:
+            outcomes = (f"{blend['outcome'][name]:.2f}" for name in names)
+            feet = (f"{blend['contact'][foot]:.0%}" for foot in document["feet"])
+            fell = f"{blend['length']}, fell" if blend["fell"] else str(blend["length"])
+            table.add_row(str(one["seed"]), f"{blend['beta']:g}", *outcomes, *feet, fell)
+    Console(highlight=False).print(table)
