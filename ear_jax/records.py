@@ -1,8 +1,8 @@
 """Run directories and what stands in them: the source of every table and figure. Imports no JAX.
 
 A run directory holds `config.json` (settings, tasks, machine, versions, commit), `metrics.jsonl` (a row per seed and
-block), the last document of each analysis (`evaluation.json`, `interpolation.json`, `adaptation.json`, `composition.json`,
-`map.json`, `lse.json`), `ltes.json` (named LTEs), `checkpoints/`, `figures/` and `videos/`.
+block), the last document of each analysis (`evaluation.json`, `interpolation.json`, `adaptation.json`,
+`composition.json`, `map.json`, `lse.json`), `ltes.json` (named LTEs), `checkpoints/`, `figures/` and `videos/`.
 """
 
 from __future__ import annotations

@@ -21,8 +21,9 @@ FIELD_OF_VIEW = 45.0  # degrees, from top to bottom
 FRAME_SECONDS = 0.04  # of a film, unless an environment step is longer
 SPACING = 1.4  # robot lengths from one pose of a strip to the next, at the middle one of its speeds
 LONGEST = 12  # robot sizes a strip shows, unless its flags stand further apart
-SQUATTEST = 4.0  # a panel is at least so many times as wide as it is high, where the robot runs along x
+SQUATTEST = 3.0  # a panel is at least so many times as wide as it is high, where the robot runs along x
 MARGIN = 0.25  # robot sizes around what is shown
+POLE = 0.7  # robot lengths, of a flag among robots that roam
 PALE = 0.6  # how far the first pose of a strip has faded
 BESIDE, ABOVE = (
     math.radians(12),
@@ -114,7 +115,7 @@ def arrange(model: mujoco.MjModel, trajectories: Sequence[Trajectory], labels: S
         moments = np.arange(len(inside))[::-every][::-1]
         moments = moments[inside[moments]]
         x, foot = project(one.centres[-1] * (1, 1, 0), elevation)
-        flag = (float(x), float(foot), 1.2 * length if roaming else 0.95 * bounds.high)
+        flag = (float(x), float(foot), POLE * length if roaming else 0.95 * bounds.high)
         colours = _fading(COLOURS[row % len(COLOURS) if roaming else 0], len(moments))
         return Track(labels[row], colours, shown[moments], one.radii, flag), trajectories[row].qpos[moments]
 
@@ -149,7 +150,9 @@ def _bounds(seen: Sequence[Limbs], elevation: float, roaming: bool) -> Bounds:
     size = max(max(one.length, one.top) for one in seen)
     points = np.concatenate([project(one.ends, elevation).reshape(-1, 2) for one in seen])
     (left, low), (right, high) = (map(float, corner) for corner in (points.min(0), points.max(0)))
-    if not roaming:
+    if roaming:
+        high = max(high, *(float(project(one.centres[-1], elevation)[1]) + POLE * size for one in seen))
+    else:
         low = 0.0  # the ground, whose edge is in sight
         lasts = [one.ends[-1, ..., 0] for one in seen]
         room = max(LONGEST * size, float(np.ptp(lasts)) + 2 * size)

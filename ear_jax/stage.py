@@ -107,7 +107,7 @@ class Canvas:
             self._gl.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         except Exception as error:  # ImportError, AttributeError, OpenGL's own: whatever of it is missing
-            raise RunError(WITHOUT_GL.format(str(error).splitlines()[0] or type(error).__name__)) from None
+            raise RunError(WITHOUT_GL.format((str(error) or type(error).__name__).splitlines()[0])) from None
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
 
     def __enter__(self) -> Canvas:
@@ -135,13 +135,14 @@ class Canvas:
         for index, pose in enumerate(poses):
             data.qpos[:] = pose
             mujoco.mj_forward(model, data)
-            first = scene.ngeom if index else 0
-            if index:
-                mujoco.mjv_addGeoms(model, data, option, pert, moving, scene)
-            else:
+            if index == 0:
                 mujoco.mjv_updateScene(model, data, option, pert, camera, everything, scene)
+                drawn = 0
+            else:
+                mujoco.mjv_addGeoms(model, data, option, pert, moving, scene)
             if tints is not None:
-                _tint(scene.geoms[first : scene.ngeom], tints[index])
+                _tint(scene.geoms[drawn : scene.ngeom], tints[index])
+            drawn = scene.ngeom
         for light in scene.lights[: scene.nlight]:
             if not light.headlight:
                 light.pos[:] = camera.lookat + np.array([0, 0, 5])  # shadows fall only near a light
@@ -189,5 +190,6 @@ def _on_stage(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
     visual.headlight.ambient[:], visual.headlight.diffuse[:] = 0.45, 0.35
     visual.rgba.haze[:] = (*(np.array(SKY) / 255), 1)
     visual.global_.offwidth, visual.global_.offheight = width, height
-    visual.quality.shadowsize, visual.map.shadowclip = 4096, 2  # or a long strip has shadows in its middle only
+    # Shadows fall up to 16 m from where one looks, as far as a strip goes, and are 8 mm fine.
+    visual.map.shadowclip, visual.quality.shadowsize = 16 / model.stat.extent, 4096
     return model

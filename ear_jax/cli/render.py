@@ -170,4 +170,4 @@ def _draw(run: Path, name: str, family: Family, scenes: list[Scene], trajectorie
 
 def _label(family: Family, scene: Scene, trajectory: Trajectory) -> str:
     fell = "\nfell" if trajectory.fell else ""
-    return f"{scene.name}\n{trajectory.achieved:.2f} {family.unit}{fell}"
+    return f"{scene.name}\n{trajectory.achieved:z.2f} {family.unit}{fell}"

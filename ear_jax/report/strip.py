@@ -6,7 +6,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import matplotlib
 
@@ -16,7 +15,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
-from matplotlib.patheffects import withStroke
 
 from ear_jax.report.figures import STYLE
 
@@ -74,7 +72,7 @@ def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, note: str) -
 
     Args:
       path: where to.
-      panels: one track a panel, named beside it, or many in one, named at their flags.
+      panels: tracks are named at the left of their panel, in their colours where there are several.
       bounds: what each shows.
       note: what stands beside the axis's name.
     """
@@ -99,21 +97,17 @@ def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:
     inch = (bounds.right - bounds.left) / bounds.inches[0]  # in metres
     axes.set(xlim=(bounds.left, bounds.right), ylim=(bounds.low, bounds.high), yticks=[])
     axes.spines[:].set_visible(False)
-    alone = len(panel.tracks) == 1
     if panel.picture is not None:
         axes.imshow(panel.picture, extent=(bounds.left, bounds.right, bounds.low, bounds.high), aspect="auto")
     else:
         axes.axhspan(bounds.low, bounds.ground, color=GROUND)
-    for track in panel.tracks:
+    for row, track in enumerate(panel.tracks):
         if panel.picture is None:
             _draw_sticks(axes, track, 72 / inch)
         _draw_flag(axes, *track.flag, inch)
-        if alone:
-            axes.text(-0.02, 0.5, track.label, transform=axes.transAxes, ha="right", va="center")
-        else:
-            halo = [withStroke(linewidth=2.5, foreground="white")]
-            style: Any = {"color": track.colours[-1], "weight": "bold", "path_effects": halo}
-            axes.annotate(track.label, track.flag[:2], (5, 5), textcoords="offset points", **style)
+        colour = "black" if len(panel.tracks) == 1 else track.colours[-1]
+        place = (-0.02, 1 - (row + 0.5) / len(panel.tracks))
+        axes.text(*place, track.label, transform=axes.transAxes, color=colour, ha="right", va="center")
 
 
 def _draw_sticks(axes: Axes, track: Track, points: float) -> None:
