@@ -98,8 +98,14 @@ class LogConfig:
     """Epochs in a block: one compiled call, then one evaluation and one row a seed."""
     episodes: int = 3
     """Evaluation episodes per task."""
-    checkpoint_blocks: int = 5
+
+
+@dataclass(frozen=True)
+class CheckpointConfig:
+    blocks: int = 5
     """Blocks between checkpoints."""
+    replay: bool = True
+    """Save the replay too; without it checkpoints are small, and a run that continues from one has to fill it anew."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +135,7 @@ class Config:
     collect: CollectConfig = field(default_factory=CollectConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     log: LogConfig = field(default_factory=LogConfig)
+    checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
 
 
 # What a preset changes in the defaults above, which are the paper's for HalfCheetah-Vel.
@@ -248,6 +255,18 @@ def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> A
     return kind(**given)
 
 
+def flat(config: Config) -> dict[str, Any]:
+    """Every setting by its name, as in sac.lr."""
+
+    def settings(tree: dict[str, Any], where: str) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, value in tree.items():
+            found |= settings(value, f"{where}{name}.") if isinstance(value, dict) else {where + name: value}
+        return found
+
+    return settings(dataclasses.asdict(config), "")
+
+
 def check(config: Config, tasks: int) -> None:
     """Refuses values that cannot be trained with, before anything is compiled.
 
@@ -298,7 +317,7 @@ _MINIMA: dict[str, int] = {
     "replay.capacity": 1,
     "log.epochs": 1,
     "log.episodes": 1,
-    "log.checkpoint_blocks": 1,
+    "checkpoint.blocks": 1,
 }
 _RANGES: dict[str, tuple[float, float]] = {
     "sac.lr": (0.0, 1.0),

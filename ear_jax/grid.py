@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 from flax import struct
 
 from ear_jax.envs.family import Family, Outcome
@@ -31,7 +33,7 @@ class Transition:
     outcome: Outcome  # scalars by name
     terminated: jax.Array  # bool: the robot failed, and no value follows
     truncated: jax.Array  # bool: only the time ran out
-    valid: jax.Array  # bool: the physics stayed finite; otherwise nothing of this step may be learnt from
+    valid: jax.Array  # bool: all of this is sound; otherwise nothing of this step may be learnt from
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Grid:
     def _step_one(self, cell: Cell, action: jax.Array) -> tuple[Cell, Transition]:
         after = self.family.step(cell.state, action)
         steps = cell.steps + 1
-        valid = jnp.all(jnp.isfinite(after.obs))
+        valid = is_sound((after.pipeline_state, after.obs, after.metrics, after.reward, action))
         terminated = (after.done > 0) & valid
         truncated = (steps >= self.family.episode_length) & ~terminated & valid
         transition = Transition(cell.state.obs, action, after.obs, after.metrics, terminated, truncated, valid)
@@ -78,3 +80,8 @@ class Grid:
         over = terminated | truncated | ~valid
         cell = jax.tree.map(lambda new, old: jnp.where(over, new, old), Cell(fresh, jnp.int32(0)), Cell(going, steps))
         return cell, transition
+
+
+def is_sound(numbers: Any) -> jax.Array:
+    """Whether all numbers of a pytree are finite and below 1e10, past which MuJoCo too calls a state bad; a bool."""
+    return jnp.all(jnp.array([jnp.all(jnp.abs(leaf) < mujoco.mjMAXVAL) for leaf in jax.tree.leaves(numbers)]))

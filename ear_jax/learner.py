@@ -34,6 +34,15 @@ class LearnerState:
     critic_optimiser: Any  # one a critic, each leaf [critics, …]
     temperature_optimiser: Any
 
+    @property
+    def norms(self) -> dict[str, jax.Array]:
+        """Global norms; one is not finite as soon as one of its numbers is not."""
+        return {
+            "policy_norm": optax.global_norm(self.policy),
+            "critics_norm": optax.global_norm((self.critics, self.target_critics)),
+            "temperature_norm": jnp.abs(self.log_temperature),
+        }
+
 
 @struct.dataclass
 class Draws:
@@ -112,7 +121,7 @@ class Learner:
           draws: the randomness of this update, each leaf [n, …].
 
         Returns:
-          The next state, and scalars to watch.
+          The next state, and what to watch: scalars, and `sound` [tasks], whether each task's loss was finite.
         """
         batch = self._batch(buffer, draws)
         temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
@@ -150,7 +159,9 @@ class Learner:
             critic_optimiser=critic_optimiser,
             temperature_optimiser=temperature_optimiser,
         )
+        loss = jnp.sum((values - target) ** 2, axis=0) + log_prob  # [n], task by task
         watched = {
+            "sound": jnp.all(jnp.isfinite(loss).reshape(self.task_count, -1), axis=1),
             "critic_loss": critic_loss,
             "actor_loss": actor_loss,
             "temperature": jnp.mean(temperature),

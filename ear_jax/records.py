@@ -2,11 +2,13 @@
 
 A run directory holds `config.json` (settings, tasks, machine, versions, commit), `metrics.jsonl` (a row per seed and
 block), the last document of each analysis (`evaluation.json`, `interpolation.json`, `adaptation.json`,
-`composition.json`, `map.json`, `lse.json`), `ltes.json` (named LTEs), `checkpoints/`, `figures/` and `videos/`.
+`composition.json`, `map.json`, `lse.json`), `ltes.json` (named LTEs), `checkpoints/`, `figures/`, `videos/`, the `lock`
+of the process that trains it, and `failure.json` where its numbers went bad.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import json
 import os
@@ -21,10 +23,8 @@ PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "o
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Writes a document whole or not at all."""
-    scratch = path.with_name(path.name + ".part")
-    scratch.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
-    os.replace(scratch, path)
+    """Writes a document whole or not at all; raises RunError where it cannot be written."""
+    _write(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def read_run(run: Path) -> dict[str, Any]:
@@ -42,11 +42,16 @@ def read_run(run: Path) -> dict[str, Any]:
 
 
 def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Appends JSON lines and hands them to the disk."""
-    with path.open("a") as file:
-        file.writelines(json.dumps(row, allow_nan=False) + "\n" for row in rows)
-        file.flush()
-        os.fsync(file.fileno())
+    """Appends JSON lines and hands them to the disk; raises RunError where they cannot be written."""
+    lines = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows)
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        with os.fdopen(file, "w") as stream:
+            stream.write(lines)
+            stream.flush()
+            os.fsync(file)
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}") from None
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -54,7 +59,7 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
     rows = []
-    for line in path.read_text().splitlines():
+    for line in path.read_text(errors="replace").splitlines():
         try:
             rows.append(json.loads(line))
         except ValueError:
@@ -62,16 +67,11 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def keep_rows(path: Path, last_epoch: int) -> list[dict[str, Any]]:
-    """Forgets rows past an epoch, which a resumed run will write again; returns the others."""
-    if not path.exists():
-        return []
-    rows = read_rows(path)
-    kept = [row for row in rows if row["epoch"] <= last_epoch]
-    scratch = path.with_name(path.name + ".part")
-    scratch.write_text("".join(json.dumps(row) + "\n" for row in kept))
-    os.replace(scratch, path)
-    return kept
+def keep_rows(path: Path, last_epoch: int) -> None:
+    """Forgets rows past an epoch, which a resumed run will write again, and a torn one."""
+    if path.exists():
+        kept = [row for row in read_rows(path) if row["epoch"] <= last_epoch]
+        _write(path, "".join(json.dumps(row) + "\n" for row in kept))
 
 
 def provenance() -> dict[str, Any]:
@@ -112,6 +112,21 @@ def commit() -> str | None:
         return git("rev-parse", "--short=12", "HEAD") + ("+changes" if git("status", "--porcelain", "-uno") else "")
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def _write(path: Path, text: str) -> None:
+    """Beside its place and then into it; a link planted under either name is replaced, not followed."""
+    scratch = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch.unlink(missing_ok=True)
+        with scratch.open("x") as file:
+            file.write(text)
+        os.replace(scratch, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            scratch.unlink(missing_ok=True)
+        raise RunError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _processor() -> str:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,17 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax import checkpoint, records, runtime, train
-from ear_jax.config import Config, from_dict, run_name
-from ear_jax.errors import RunError, UsageError
+from ear_jax.checkpoint import Step
+from ear_jax.config import Config
+from ear_jax.directory import check_place, check_settings, check_tasks
+from ear_jax.errors import RunError
+from ear_jax.estimate import check_memory
 from ear_jax.evaluate import Episodes, play_training_tasks
+from ear_jax.failure import check_finite
 from ear_jax.learner import CRITICS
+from ear_jax.lock import hold
 from ear_jax.networks import Params
 from ear_jax.stopping import Stopped, StopRequest
 from ear_jax.terminal import TrainingBar, phase, say
 from ear_jax.train import Program, TrainState
-
-# Settings that may differ when a run is continued: none of them changes what an epoch computes.
-MAY_CHANGE = ("epochs", "minutes", "engine", "log.checkpoint_blocks")
 
 
 @dataclass(frozen=True)
@@ -39,54 +39,45 @@ class Compiled:
     evaluate: Callable[[Params, jax.Array], Episodes]
 
 
-def default_directory(config: Config) -> Path:
-    return Path("runs") / run_name(config)
-
-
 def train_run(config: Config, directory: Path) -> None:
     """Trains a run to its end, or continues it.
 
     Args:
       config: what to train.
-      directory: where; the same command on an unfinished run goes on from its newest checkpoint, and on a finished one
-        does nothing.
+      directory: where; the same command on an unfinished run goes on from its newest good checkpoint, and on a finished
+        one does nothing.
 
     Raises:
       UsageError: the configuration makes no sense, or is not the run's.
-      RunError: it cannot be done here.
+      RunError: it cannot be done here, or its numbers went bad.
       Stopped: it was asked to stop, and has saved.
     """
     began = time.perf_counter()
-    _check_directory(directory, config)
-    steps = checkpoint.steps(directory / "checkpoints")
-    rows = records.keep_rows(directory / "metrics.jsonl", steps[-1] if steps else 0)
-    spent = rows[-1]["seconds"] if rows else 0.0
-    if steps and _finished(config, steps[-1], spent):
-        say(f"{directory} is finished: {steps[-1]} epochs, {spent / 60:.1f} minutes (--epochs or --minutes for more)")
-        return
+    check_place(directory)
     program = train.make_program(config)
+    if (directory / "config.json").exists():
+        _check_same(directory, records.read_run(directory), program)
+    step = checkpoint.newest(directory / "checkpoints", say)
+    if step:
+        _check_same(step.path, step.about, program)
+    epoch = step.epoch if step else 0
+    log = directory / "metrics.jsonl"
+    spent = max((row["seconds"] for row in records.read_rows(log) if row["epoch"] <= epoch), default=0.0)
+    if step and _finished(config, epoch, spent):
+        say(f"{directory} is finished: {epoch} epochs, {spent / 60:.1f} minutes (--epochs or --minutes for more)")
+        return
     keys = train.seed_keys(config)
-    _check_memory(program, keys)
-    if not steps:
-        _make(directory)
-        document = {
-            "config": dataclasses.asdict(config),
-            "tasks": _tasks_document(program),
-            "parameters": program.agent.parameter_counts,
-            **records.provenance(),
-        }
-        records.write_json(directory / "config.json", document)
-    say(_header(program, directory))
-    with phase("compiling"):
-        compiled = compile_program(program, keys)
-    if steps:
-        with phase(f"restoring epoch {steps[-1]}"):
-            state = checkpoint.restore(directory / "checkpoints", steps[-1], jax.eval_shape(compiled.begin, keys))
-    else:
-        with phase("collecting with the untrained policy"):
-            state = jax.block_until_ready(compiled.begin(keys))
-    with StopRequest(say) as request:
-        _train_blocks(program, compiled, state, directory, lambda: spent + time.perf_counter() - began, request)
+    check_memory(program)
+    with hold(directory, say), StopRequest(say) as request:
+        about = _about(program)
+        if not (directory / "config.json").exists():
+            records.write_json(directory / "config.json", about)
+        records.keep_rows(log, epoch)
+        say(header(program, directory))
+        with phase("compiling"):
+            compiled = compile_program(program, keys)
+        state = _continue(program, compiled, keys, step) if step else _begin(compiled, keys)
+        _train_blocks(program, compiled, state, directory, about, lambda: spent + time.perf_counter() - began, request)
 
 
 def compile_program(program: Program, keys: jax.Array) -> Compiled:
@@ -110,19 +101,47 @@ def compile_program(program: Program, keys: jax.Array) -> Compiled:
     )
 
 
+def _begin(compiled: Compiled, keys: jax.Array) -> TrainState:
+    with phase("collecting with the untrained policy"):
+        return jax.block_until_ready(compiled.begin(keys))
+
+
+def _continue(program: Program, compiled: Compiled, keys: jax.Array, step: Step) -> TrainState:
+    """The state a step holds; its replay, where it was left out, filled anew by the policy as it stands."""
+    like = jax.eval_shape(compiled.begin, keys)
+    differences = _differences(step.about, program)
+    if differences:
+        say(f"warning: {'; '.join(differences)}: what follows may differ in the last bit")
+    with phase(f"restoring epoch {step.epoch}"):
+        if step.about["replay"]:
+            return checkpoint.restore(step, like)
+        state = checkpoint.restore(step, like.without_replay)
+    epochs = program.config.collect.pretrain_epochs
+    say(
+        f"warning: epoch {step.epoch} was saved without its replay; {epochs} epochs of collection, "
+        f"{program.env_steps(epochs):,} env steps a seed, fill it anew, and the run is another from here on"
+    )
+    state = dataclasses.replace(state, replay=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like.replay))
+    refill = jax.vmap(partial(train.pretrain, program))
+    with phase("collecting with the policy as it stands"):
+        return jax.jit(refill, donate_argnums=0, compiler_options=runtime.compiler_options())(state)
+
+
 def _train_blocks(
     program: Program,
     compiled: Compiled,
     state: TrainState,
     directory: Path,
+    about: dict[str, Any],
     clock: Callable[[], float],
     request: StopRequest,
 ) -> None:
     """Blocks of epochs until the run is finished or asked to stop: train, evaluate, write, maybe save."""
     config, keys = program.config, train.seed_keys(program.config)
     epoch, blocks = int(state.epoch[0]), 0
+    last = _finished(config, epoch, clock()) or request.signal is not None
     with TrainingBar(epoch, config.epochs) as bar:
-        while not _finished(config, epoch, clock()) and request.signal is None:
+        while not last:
             block_began = time.perf_counter()
             count = min(config.log.epochs, config.epochs - epoch)
             state, metrics = compiled.chunk(state, jnp.int32(count))
@@ -130,12 +149,13 @@ def _train_blocks(
             episodes = compiled.evaluate(state.learner.policy, train.evaluation_keys(keys, epoch))
             metrics, episodes = jax.device_get((metrics, episodes))  # waits for the device, once a block
             took = time.perf_counter() - block_began
-            rows = _rows(program, epoch, clock(), metrics, episodes)
-            _refuse_non_finite(rows)
+            sound = metrics.pop("sound_updates")
+            rows = _rows(program, state, clock(), metrics, episodes)
+            check_finite(directory, rows, sound, (epoch - count) * config.sac.updates)
             records.append_rows(directory / "metrics.jsonl", rows)
             last = _finished(config, epoch, clock()) or request.signal is not None
-            if last or blocks % config.log.checkpoint_blocks == 0:
-                checkpoint.save(directory / "checkpoints", epoch, state)
+            if last or blocks % config.checkpoint.blocks == 0:
+                _save(directory, state, about, last)
             steps, updates = count * program.env_steps_per_epoch, count * config.sac.updates
             mean_return = float(np.mean(episodes.returns))
             bar.update(epoch, mean_return, config.seeds * steps / took, config.seeds * updates / took)
@@ -144,20 +164,32 @@ def _train_blocks(
         raise Stopped(request.signal)
 
 
+def _save(directory: Path, state: TrainState, about: dict[str, Any], last: bool) -> None:
+    """Saves a step. A disk may be full for a while: only where it was the last is a failure the run's."""
+    kept = state if about["replay"] else state.without_replay
+    try:
+        checkpoint.save(directory / "checkpoints", int(state.epoch[0]), kept, about)
+    except RunError as error:
+        if last:
+            raise RunError(f"{error}; the same command continues from the checkpoint before") from error
+        say(f"warning: {error}; going on")
+
+
 def _finished(config: Config, epoch: int, seconds: float) -> bool:
     return epoch >= config.epochs or (config.minutes is not None and seconds >= 60 * config.minutes)
 
 
 def _rows(
-    program: Program, epoch: int, seconds: float, metrics: train.Metrics, episodes: Episodes
+    program: Program, state: TrainState, seconds: float, metrics: train.Metrics, episodes: Episodes
 ) -> list[dict[str, Any]]:
     """A row a seed; `returns` are of whole evaluation episodes without exploration."""
     returns = episodes.returns.mean(axis=-1)  # [seeds, tasks]
+    epoch = int(state.epoch[0])
     return [
         {
             "seed": program.config.seed + index,
             "epoch": epoch,
-            "env_steps": program.env_steps(epoch),
+            "env_steps": program.env_steps(int(state.collected[0])),
             "updates": epoch * program.config.sac.updates,
             "seconds": round(seconds, 3),
             "mean_return": float(returns[index].mean()),
@@ -168,58 +200,33 @@ def _rows(
     ]
 
 
-def _refuse_non_finite(rows: list[dict[str, Any]]) -> None:
-    for row in rows:
-        for name, value in row.items():
-            if isinstance(value, float) and not math.isfinite(value):
-                raise RunError(f"{name} of seed {row['seed']} is {value} at epoch {row['epoch']}")
+def _about(program: Program) -> dict[str, Any]:
+    """What a run is: its `config.json`, and what every checkpoint says of itself."""
+    return {
+        "config": dataclasses.asdict(program.config),
+        "tasks": program.tasks.document,
+        "parameters": program.agent.parameter_counts,
+        "fingerprint": program.tasks.fingerprint,
+        "engine": program.family.engine.name,
+        "replay": program.config.checkpoint.replay,
+        **records.provenance(),
+    }
 
 
-def _check_directory(directory: Path, config: Config) -> None:
-    """Refuses a directory that cannot hold this run, before anything slow and before anything is written."""
-    standing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
-    if not standing.is_dir():
-        raise UsageError(f"--out {directory} needs a directory, and {standing} is a file")
-    if not os.access(standing, os.W_OK | os.X_OK):
-        raise RunError(f"cannot write in {standing}")
-    if (directory / "config.json").exists():
-        _refuse_changes(directory, from_dict(records.read_run(directory)["config"]), config)
-    elif directory.exists() and any(directory.iterdir()):
-        raise UsageError(f"--out {directory} is neither empty nor a run directory; name another")
+def _differences(about: dict[str, Any], program: Program) -> list[str]:
+    """In what a step was made otherwise than this process would make it, where that may move the last bit."""
+    now = {"engine": program.family.engine.name, **records.versions()}
+    before = {"engine": about["engine"], **about["versions"]}
+    return [f"{name} was {before.get(name)}, is {value}" for name, value in now.items() if before.get(name) != value]
 
 
-def _make(directory: Path) -> None:
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunError(f"cannot make {directory}: {error.strerror}") from None
+def _check_same(holder: Path, document: dict[str, Any], program: Program) -> None:
+    check_settings(holder, document, program.config)
+    check_tasks(holder, document, program.tasks)
 
 
-def _refuse_changes(directory: Path, before: Config, now: Config) -> None:
-    old, new = (dict(_flat(dataclasses.asdict(config))) for config in (before, now))
-    changes = [f"{name} was {old[name]}, is {new[name]}" for name in old if old[name] != new[name]]
-    changes = [change for change in changes if not change.startswith(tuple(f"{name} was" for name in MAY_CHANGE))]
-    if changes:
-        raise UsageError(f"{directory} holds a run with other settings: {'; '.join(changes)}; use another --out")
-
-
-def _flat(tree: dict[str, Any], where: str = "") -> list[tuple[str, Any]]:
-    pairs: list[tuple[str, Any]] = []
-    for name, value in tree.items():
-        pairs += _flat(value, f"{where}{name}.") if isinstance(value, dict) else [(where + name, value)]
-    return pairs
-
-
-def _check_memory(program: Program, keys: jax.Array) -> None:
-    state = jax.eval_shape(jax.vmap(partial(train.init, program)), keys)
-    runtime.check_memory(runtime.tree_bytes(state), runtime.tree_bytes(state.replay))
-
-
-def _tasks_document(program: Program) -> list[dict[str, Any]]:
-    return [dataclasses.asdict(task) for task in program.tasks.tasks]
-
-
-def _header(program: Program, directory: Path) -> str:
+def header(program: Program, directory: Path) -> str:
+    """The line a run begins with."""
     config = program.config
     counts = program.agent.parameter_counts
     seeds = f"seed {config.seed}" if config.seeds == 1 else f"seeds {config.seed}–{config.seed + config.seeds - 1}"

@@ -8,8 +8,6 @@ from typing import Any
 
 import jax
 
-from ear_jax.errors import RunError
-
 
 def cache_dir() -> Path:
     """Where compiled programs are kept between runs. XLA trusts what it finds there, so it is the user's alone."""
@@ -25,6 +23,8 @@ def enable_cache() -> None:
     try:
         directory.mkdir(parents=True, exist_ok=True, mode=0o700)
         directory.chmod(0o700)
+        if directory.stat().st_uid != os.getuid():
+            return
     except OSError:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
@@ -59,17 +59,3 @@ def available_bytes() -> int | None:
         return None
     kib = next((line.split()[1] for line in lines if line.startswith("MemAvailable:")), None)
     return None if kib is None else int(kib) * 1024
-
-
-def check_memory(needed: int, of_which_replay: int) -> None:
-    """Refuses a run that will not fit; raises RunError with the sizes."""
-    available = available_bytes()
-    if available is not None and needed > available:
-        raise RunError(
-            f"this run needs {_gigabytes(needed)} of memory, {_gigabytes(of_which_replay)} of it for replay, and "
-            f"{_gigabytes(available)} are free; lower --replay.capacity or --seeds"
-        )
-
-
-def _gigabytes(count: int) -> str:
-    return f"{count / 1e9:.2f} GB"

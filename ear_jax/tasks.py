@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +49,16 @@ class TaskSet:
         if not self.tasks:
             return {}
         return jax.tree.map(lambda *leaves: jnp.asarray(leaves, jnp.float32), *(task.params for task in self.tasks))
+
+    @property
+    def document(self) -> list[dict[str, Any]]:
+        """The tasks as JSON holds them."""
+        return [dataclasses.asdict(task) for task in self.tasks]
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of names, targets and numbers, in order: where two agree, the same code means the same task."""
+        return hashlib.sha256(json.dumps(self.document, sort_keys=True).encode()).hexdigest()
 
     def index(self, name: str) -> int:
         if name not in self.names:

@@ -32,6 +32,12 @@ class TrainState:
     cells: Cell  # the environments, [tasks, envs]
     key: jax.Array
     epoch: jax.Array  # int32, epochs trained
+    collected: jax.Array  # int32, epochs of collection, those without updates included
+
+    @property
+    def without_replay(self) -> TrainState:
+        """All but what the replay holds, which is most of it."""
+        return replace(self, replay=None)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -48,9 +54,9 @@ class Program:
     def env_steps_per_epoch(self) -> int:
         return len(self.tasks) * self.config.collect.envs * self.config.collect.steps
 
-    def env_steps(self, epoch: int) -> int:
-        """Environment steps of one seed after so many trained epochs, pretraining included."""
-        return self.env_steps_per_epoch * (self.config.collect.pretrain_epochs + epoch)
+    def env_steps(self, collected: int) -> int:
+        """Environment steps of one seed in so many epochs of collection."""
+        return self.env_steps_per_epoch * collected
 
 
 def make_program(config: Config) -> Program:
@@ -93,11 +99,12 @@ def init(program: Program, key: jax.Array) -> TrainState:
         cells=cells,
         key=key_run,
         epoch=jnp.int32(0),
+        collected=jnp.int32(0),
     )
 
 
 def pretrain(program: Program, state: TrainState) -> TrainState:
-    """Fills the replay with the untrained policy's roll-outs (algorithm 1, the pre-train epochs)."""
+    """Fills the replay with roll-outs of the policy as it stands (algorithm 1, the pre-train epochs)."""
 
     def epoch(state: TrainState, _: None) -> tuple[TrainState, None]:
         key_collect, key_later = jax.random.split(state.key)
@@ -121,7 +128,8 @@ def train_chunk(program: Program, state: TrainState, epochs: jax.Array) -> tuple
       epochs: how many, an int32 scalar, so that a shorter last chunk is not compiled anew.
 
     Returns:
-      The run afterwards, and scalars averaged over the chunk.
+      The run afterwards, and its metrics: scalars averaged over the chunk, norms at its end, and `sound_updates`
+      [tasks], the chunk's updates before the first in which a task's loss was not finite.
     """
 
     def epoch(_: jax.Array, carry: tuple[TrainState, Metrics]) -> tuple[TrainState, Metrics]:
@@ -132,11 +140,13 @@ def train_chunk(program: Program, state: TrainState, epochs: jax.Array) -> tuple
     shapes = jax.eval_shape(lambda state: train_epoch(program, state)[1], state)
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     state, total = jax.lax.fori_loop(0, epochs, epoch, (state, nothing))
-    return state, jax.tree.map(lambda leaf: leaf / epochs, total)
+    sound = total.pop("sound_updates")
+    means = jax.tree.map(lambda leaf: leaf / epochs, total)
+    return state, {**means, **state.learner.norms, "sound_updates": sound}
 
 
 def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
-    """One epoch of one seed, and its scalars."""
+    """One epoch of one seed, its scalars, and `sound_updates`."""
     key_collect, key_update, key_later = jax.random.split(state.key, 3)
     state, collected = _collect(program, state, key_collect)
     learner = program.learner.observe(state.learner, state.replay)
@@ -145,7 +155,8 @@ def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metric
         lambda learner, draws: program.learner.update(learner, state.replay, draws), learner, draws
     )
     state = replace(state, learner=learner, key=key_later, epoch=state.epoch + 1)
-    return state, {**jax.tree.map(jnp.mean, watched), **collected}
+    sound = jnp.sum(jnp.cumprod(watched.pop("sound"), axis=0), axis=0)  # from [updates, tasks]
+    return state, {**jax.tree.map(jnp.mean, watched), **collected, "sound_updates": sound}
 
 
 def _collect(program: Program, state: TrainState, key: jax.Array) -> tuple[TrainState, Metrics]:
@@ -157,7 +168,8 @@ def _collect(program: Program, state: TrainState, key: jax.Array) -> tuple[Train
     noise = jax.random.normal(key, shape)
     cells, transitions = rollout(Grid(family), act, state.cells, noise, _whole)
     invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
-    return replace(state, cells=cells, replay=replay.add(state.replay, transitions)), {"invalid_steps": invalid}
+    buffer = replay.add(state.replay, transitions)
+    return replace(state, cells=cells, replay=buffer, collected=state.collected + 1), {"invalid_steps": invalid}
 
 
 def _whole(transition: Transition) -> Transition:

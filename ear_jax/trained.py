@@ -1,18 +1,24 @@
-"""A finished or unfinished run as those see it who only use its policy."""
+"""A policy that was trained, as those see it who only use it: of a run's newest checkpoint, or of an exported file."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 
 from ear_jax import checkpoint, records, train
 from ear_jax.config import from_dict
-from ear_jax.errors import RunError
+from ear_jax.directory import check_tasks
+from ear_jax.envs import FAMILIES
+from ear_jax.errors import RunError, UsageError
+from ear_jax.export import SUFFIX, read_policy
+from ear_jax.leaves import first_difference, layout, named, rebuilt
 from ear_jax.networks import Params
-from ear_jax.train import Program
+from ear_jax.terminal import say
+from ear_jax.train import Program, TrainState
 
 
 @dataclass(frozen=True)
@@ -23,23 +29,64 @@ class Trained:
     program: Program
     policies: Params  # each leaf [seeds, …]
     epoch: int
+    directory: Path = Path()  # where what is found out about it is kept
+    collected: int = 0  # epochs of collection
+    about: dict[str, Any] = field(default_factory=dict)  # written with it: configuration, tasks, versions, machine
 
 
-def load(directory: Path) -> Trained:
-    """Reads a run's newest checkpoint, and of it only the policies.
+def load(path: Path, family: str | None = None) -> Trained:
+    """Reads the policies of a run's newest good checkpoint, or of a file that `ear export` wrote.
+
+    Args:
+      path: the run's directory, or the file.
+      family: the family, as `ear train` takes it. It has to be named where it is not one of this package's: no code is
+        run because a file says so.
 
     Raises:
-      UsageError: there is no run.
-      RunError: it has no checkpoint yet.
+      UsageError: there is no run, or its family has to be named.
+      RunError: it has no checkpoint yet, or none that is whole.
     """
-    config = from_dict(records.read_run(directory)["config"])
-    steps = checkpoint.steps(directory / "checkpoints")
-    if not steps:
+    return _from_file(path, family) if path.is_file() else _from_run(path, family)
+
+
+def _from_run(directory: Path, family: str | None) -> Trained:
+    records.read_run(directory)
+    step = checkpoint.newest(directory / "checkpoints", say)
+    if step is None:
         raise RunError(f"{directory} has no checkpoint yet; the same `ear train` command continues it")
-    program = train.make_program(config)
-    like = jax.eval_shape(jax.vmap(partial(train.init, program)), train.seed_keys(config))
-    nothing = jax.tree.map(lambda _: False, like)
-    policies = jax.tree.map(lambda _: True, like.learner.policy)
-    only = replace(nothing, learner=replace(nothing.learner, policy=policies))
-    state = checkpoint.restore(directory / "checkpoints", steps[-1], like, only)
-    return Trained(str(directory), program, state.learner.policy, steps[-1])
+    program = _program(directory, step.about, family)
+    like = _shapes(program)
+    nothing = jax.tree.map(lambda _: None, like)
+    policy = replace(nothing.learner, policy=like.learner.policy)
+    state = checkpoint.restore(step, replace(nothing, learner=policy, collected=like.collected), partly=True)
+    collected = int(state.collected[0])
+    about = {**step.about, "collected": collected}
+    return Trained(str(directory), program, state.learner.policy, step.epoch, directory, collected, about)
+
+
+def _from_file(path: Path, family: str | None) -> Trained:
+    about, arrays = read_policy(path)
+    about["config"]["engine"] = "auto"  # it may have been trained on another machine
+    program = _program(path, about, family)
+    like = {"policy": _shapes(program).learner.policy}
+    difference = first_difference(layout(named(like)), layout(arrays), partly=True)
+    if difference:
+        raise RunError(f"{path} does not fit its configuration: {difference}")
+    directory = path.with_name(path.name.removesuffix(SUFFIX) + "-results")
+    policies = rebuilt(like, arrays)["policy"]
+    return Trained(str(path), program, policies, about["epoch"], directory, about["collected"], about)
+
+
+def _program(holder: Path, about: dict[str, Any], family: str | None) -> Program:
+    config = from_dict(about["config"])
+    if family is None and config.family not in FAMILIES:
+        raise UsageError(f"{holder} is of a family that is not ear_jax's own; name it: --family {config.family}")
+    if family is not None and family.rpartition(":")[2] != config.family.rpartition(":")[2]:
+        raise UsageError(f"{holder} is of family {config.family}, not {family}")
+    program = train.make_program(replace(config, family=family or config.family))
+    check_tasks(holder, about, program.tasks)
+    return program
+
+
+def _shapes(program: Program) -> TrainState:
+    return jax.eval_shape(jax.vmap(partial(train.init, program)), train.seed_keys(program.config))

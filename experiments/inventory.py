@@ -15,7 +15,7 @@ from ear_jax.errors import UsageError
 from experiments.paper import Analysis, Experiment, Method
 
 RECORDS = Path(__file__).with_name("records")
-BUDGET = ("seeds", "epochs", "minutes", "engine", "log")  # settings by which a run is no other run
+BUDGET = ("seeds", "epochs", "minutes", "engine", "log", "checkpoint")  # settings by which a run is no other run
 
 
 @dataclass(frozen=True)

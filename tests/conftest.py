@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import resource
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import jax
 import pytest
 
-from ear_jax.config import Config, preset_config
+from ear_jax import run
+from ear_jax.config import CheckpointConfig, Config, flat, preset_config
+from ear_jax.run import compile_program, train_run
+from ear_jax.train import Program, make_program, seed_keys
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -43,3 +51,64 @@ def tiny_config(**changes: object) -> Config:
 @pytest.fixture
 def run_directory(tmp_path: Path) -> Path:
     return tmp_path / "run"
+
+
+def finished_config(**changes: object) -> Config:
+    """Of the finished run below: two seeds, 12 blocks of 2 epochs, checkpoints of epochs 6, 12, 18 and 24."""
+    return tiny_config(**{"seeds": 2, "epochs": 24, "checkpoint": CheckpointConfig(blocks=3), **changes})
+
+
+@pytest.fixture
+def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs of one configuration share one compiled program, which is most of what a small run costs."""
+    monkeypatch.setattr(run, "compile_program", _compile_once)
+
+
+@functools.cache
+def _compiled(config: Config) -> run.Compiled:
+    return compile_program(make_program(config), seed_keys(config))
+
+
+def _compile_once(program: Program, keys: jax.Array) -> run.Compiled:
+    return _compiled(dataclasses.replace(program.config, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
+
+
+@pytest.fixture(scope="session")
+def finished_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was trained once for all tests, which none may change."""
+    directory = tmp_path_factory.mktemp("finished") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "compile_program", _compile_once)
+        train_run(finished_config(), directory)
+    return directory
+
+
+@pytest.fixture
+def finished(finished_once: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return Path(shutil.copytree(finished_once, tmp_path / "finished"))
+
+
+def words(config: Config) -> list[str]:
+    """The command line of a configuration, every setting named."""
+    given = {name: value for name, value in flat(config).items() if value is not None and name != "family"}
+    found = ["train", config.family]
+    for name, value in given.items():
+        found += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return found
+
+
+@pytest.fixture
+def small_files() -> Callable[[int], AbstractContextManager[None]]:
+    """While entered, no file may grow beyond so many bytes, as on a disk that is full."""
+
+    @contextmanager
+    def limited(size: int) -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limited

@@ -13,8 +13,8 @@ PACKAGE = Path(ear_jax.__file__).parent
 # From the bottom up; a module may import only from rows above its own, or from its own package.
 LAYERS = [
     {"errors", "quiet", "stopping"},
-    {"records"},
-    {"tasks", "config", "physics", "networks", "policy", "runtime", "terminal", "checkpoint", "report", "ltes"},
+    {"records", "manifest", "lock", "safetensors", "leaves", "tasks", "config", "physics", "networks", "policy"},
+    {"runtime", "terminal", "checkpoint", "export", "directory", "failure", "report", "ltes"},
     {"envs", "agents", "stage"},
     {"grid", "codes"},
     {"cem"},
@@ -24,7 +24,7 @@ LAYERS = [
     {"train"},
     {"trained"},
     {"evaluate", "trajectory"},
-    {"atlas", "interpolate", "sensing", "render"},
+    {"atlas", "interpolate", "sensing", "render", "estimate"},
     {"adapt", "compose"},
     {"run"},
     {"cli"},

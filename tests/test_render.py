@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
-from functools import partial
 from pathlib import Path
 
 import jax
@@ -13,12 +12,11 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from conftest import tiny_config
 from PIL import Image
 from probe import SLIDER, Slider
 from test_codes import CODES, obedient
 
-from ear_jax import checkpoint, records, stage, train
+from ear_jax import stage
 from ear_jax.cli.main import main
 from ear_jax.config import Config
 from ear_jax.envs import Family
@@ -27,7 +25,6 @@ from ear_jax.physics.models import load_model
 from ear_jax.render import Strip, arrange, film, photograph
 from ear_jax.report import video
 from ear_jax.report.strip import DPI, draw_strip
-from ear_jax.runtime import compiler_options
 from ear_jax.stage import Canvas, camera_without_perspective, limbs, project
 from ear_jax.train import Program
 from ear_jax.trajectory import Trajectory, follow
@@ -51,14 +48,9 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that has learnt nothing yet, which is enough to be seen."""
-    directory, config = tmp_path_factory.mktemp("render"), tiny_config()
-    records.write_json(directory / "config.json", {"config": dataclasses.asdict(config)})
-    init = jax.vmap(partial(train.init, train.make_program(config)))
-    state = jax.jit(init, compiler_options=compiler_options())(train.seed_keys(config))
-    checkpoint.save(directory / "checkpoints", 1, state)
-    return directory
+def run(finished_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that has hardly learnt anything, which is enough to be seen."""
+    return Path(shutil.copytree(finished_once, tmp_path_factory.mktemp("render") / "run"))
 
 
 @pytest.fixture(scope="module")
@@ -262,10 +254,10 @@ def test_without_opengl_one_line_says_what_to_install_and_the_strip_still_comes(
         ("--interpolate 3 vel-3", "names one task twice"),
         ("--interpolate 1 3 --beta nan", "--beta nan: each must be a finite number"),
         ("--task 1 --beta 0.5", "--beta goes with --interpolate A B alone"),
-        ("--lte 1 0", "--lte has 2 numbers; this run's codes have 3"),
-        ("--lte 0 0 0", "which is no direction"),
+        ("--lte 1 0", "--lte has 2 numbers; this run's LTEs have 3"),
+        ("--lte 0 0 0", "has no direction"),
         ("--task 1 --steps 0", "must be at least 1"),
-        ("--task 1 --policy 1", "--policy 1 is none of the run's"),
+        ("--task 1 --policy 2", "--policy 2 is none of the run's"),
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_leaves_nothing(run, words, complaint, capsys):

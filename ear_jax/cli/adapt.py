@@ -27,7 +27,7 @@ class AdaptCommand:
     """Search the codes of tasks the policy was never trained on, by the cross-entropy method."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, or an exported file."""
     target: tuple[str, ...] = ()
     """The tasks, as in 3.6; by default the family's adaptation tasks."""
     zero_shot: bool = False
@@ -46,6 +46,8 @@ class AdaptCommand:
     """Fresh episodes by which an epoch's best is judged again."""
     seed: int = 0
     """Seeds the search, and the family's adaptation tasks."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -62,7 +64,7 @@ def main(words: list[str]) -> None:
         if len(command.target) != 1:
             raise UsageError(f"--save {command.save} names one LTE; give one --target")
     enable_cache()
-    trained = load(command.run)
+    trained = load(command.run, command.family)
     family = trained.program.family
     named = [find_task(family, text) for text in command.target]
     tasks = task_set(named) if named else family.adaptation_tasks(command.seed)
@@ -76,9 +78,9 @@ def main(words: list[str]) -> None:
     )
     with phase(what):
         document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
-    records.write_json(command.run / "adaptation.json", {**document, **records.provenance()})
+    records.write_json(trained.directory / "adaptation.json", {**document, **records.provenance()})
     if command.save is not None:
-        ltes.save(command.run, command.save, tasks.names[0], [task["lte"] for task in document["tasks"]])
+        ltes.save(trained.directory, command.save, tasks.names[0], [task["lte"] for task in document["tasks"]])
     if command.json:
         print(json.dumps(document))
     else:

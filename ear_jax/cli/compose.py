@@ -28,7 +28,7 @@ class ComposeCommand:
     """Do two tasks of different kinds at once: a grid of blends of their LTEs, f(β Z₁ + (1 − β) Z₂)."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, or an exported file."""
     between: tuple[str, str]
     """Two tasks it was trained on, as in walk stand, or LTEs saved by `ear adapt --save`."""
     beta: tuple[float, ...] = BETAS
@@ -37,6 +37,8 @@ class ComposeCommand:
     """Environment steps of each."""
     seed: int = 0
     """Seeds the start."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -48,14 +50,14 @@ def main(words: list[str]) -> None:
     if not command.beta or not all(map(math.isfinite, command.beta)):
         raise UsageError("--beta needs finite numbers, as in 1 0.5 0")
     enable_cache()
-    trained = load(command.run)
-    first, second = (find_end(trained, command.run, word) for word in command.between)
+    trained = load(command.run, command.family)
+    first, second = (find_end(trained, word) for word in command.between)
     if first.name == second.name:
         raise UsageError(f"--between {' '.join(command.between)} names one task twice")
     with phase(f"rolling out {len(command.beta)} blends"):
         document = compose(trained, first, second, command.beta, command.steps, command.seed)
-    records.write_json(command.run / "composition.json", {**document, **records.provenance()})
-    pictures = draw_gaits(command.run / "figures", document)
+    records.write_json(trained.directory / "composition.json", {**document, **records.provenance()})
+    pictures = draw_gaits(trained.directory / "figures", document)
     if command.json:
         print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
         return

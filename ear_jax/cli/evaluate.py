@@ -26,13 +26,15 @@ class EvaluateCommand:
     """Play a run's newest policy on its training tasks, or under any LTE, without exploration."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, or an exported file."""
     episodes: int = 3
     """Episodes per task."""
     lte: tuple[str, ...] = ()
     """Instead of the tasks' LTEs: one saved by `ear adapt --save`, or its numbers."""
     seed: int = 0
     """Seeds the starts, which no training step has seen."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -42,14 +44,14 @@ def main(words: list[str]) -> None:
     if command.episodes < 1:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
     enable_cache()
-    trained = load(command.run)
+    trained = load(command.run, command.family)
     if command.lte:
         seeds, size = trained.program.config.seeds, trained.program.agent.code_size
-        codes = jnp.array(ltes.find(command.run, command.lte, seeds, size))
+        codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size))
         _print_code(evaluate_code(trained, codes, command.episodes, command.seed), command.json)
         return
     evaluation = evaluate(trained, command.episodes, command.seed)
-    keep_evaluation(command.run, evaluation)
+    keep_evaluation(trained.directory, evaluation)
     if command.json:
         print(json.dumps(evaluation))
     else:

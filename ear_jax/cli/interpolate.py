@@ -29,7 +29,7 @@ class InterpolateCommand:
     """Do what lies between two trained tasks, or beyond them, with no training: f(β Z₁ + (1 − β) Z₂)."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, or an exported file."""
     between: tuple[str, str] | None = None
     """Two tasks it was trained on, as in 2 3, or LTEs saved by `ear adapt --save`."""
     all_pairs: bool = False
@@ -44,6 +44,8 @@ class InterpolateCommand:
     """Episodes a blend."""
     seed: int = 0
     """Seeds the starts."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -57,32 +59,30 @@ def main(words: list[str]) -> None:
     if command.episodes < 1:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
     enable_cache()
-    trained = load(command.run)
+    trained = load(command.run, command.family)
     family = trained.program.family
-    if command.between:
-        pairs = [find_pair(trained, command.run, *command.between)]
-    else:
-        pairs = adjacent_pairs(trained_ends(trained), family)
+    neighbours = adjacent_pairs(trained_ends(trained), family)
+    pairs = [find_pair(trained, *command.between)] if command.between else neighbours
     with phase("rolling out"):
         if command.beta:
             document = _at_betas(trained, pairs, command)
         else:
             arguments = (command.target, command.episodes, command.seed, command.along)
             document = interpolate(trained, pairs, *arguments)
-    records.write_json(command.run / "interpolation.json", {**document, **records.provenance()})
+    records.write_json(trained.directory / "interpolation.json", {**document, **records.provenance()})
     if command.json:
         print(json.dumps(document))
     else:
         _print(document, family.unit)
 
 
-def find_pair(trained: Trained, run: Path, first: str, second: str) -> Pair:
+def find_pair(trained: Trained, first: str, second: str) -> Pair:
     """The ends of an interpolation, each commanding something, from what a person calls them.
 
     Raises:
       UsageError: something not trained on or saved, that commands nothing, or twice the same.
     """
-    ends = find_end(trained, run, first), find_end(trained, run, second)
+    ends = find_end(trained, first), find_end(trained, second)
     for end in ends:
         if end.target is None:
             raise UsageError(f"{end.name!r} commands no {trained.program.family.commanded}; see `ear compose`")
@@ -91,11 +91,11 @@ def find_pair(trained: Trained, run: Path, first: str, second: str) -> Pair:
     return ends
 
 
-def find_end(trained: Trained, run: Path, word: str) -> End:
+def find_end(trained: Trained, word: str) -> End:
     """A saved LTE by its name, or a training task."""
     family, program = trained.program.family, trained.program
-    if word in ltes.named(run):
-        saved = ltes.lookup(run, word)
+    if word in ltes.named(trained.directory):
+        saved = ltes.lookup(trained.directory, word)
         return End(word, find_task(family, saved["task"]).target, np.array(saved["codes"], np.float32))
     return trained_ends(trained)[program.tasks.index(find_task(family, word).name)]
 

@@ -22,11 +22,13 @@ class LseCommand:
     """Compare what the policy's state encoder says along a gait with the raw state: main directions and periodicity."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, or an exported file."""
     task: str | None = None
     """A task it was trained on, as in 2; by default the middle one."""
     seed: int = 0
     """Seeds the start."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -34,12 +36,12 @@ class LseCommand:
 def main(words: list[str]) -> None:
     command = parse(LseCommand, words, "lse")
     enable_cache()
-    trained = load(command.run)
+    trained = load(command.run, command.family)
     names = trained.program.tasks.names
     task = names[len(names) // 2] if command.task is None else find_task(trained.program.family, command.task).name
     document = describe(trained, task, sense(trained, task, command.seed))
-    records.write_json(command.run / "lse.json", {**document, **records.provenance()})
-    pictures = draw_signals(command.run / "figures", document)
+    records.write_json(trained.directory / "lse.json", {**document, **records.provenance()})
+    pictures = draw_signals(trained.directory / "figures", document)
     if command.json:
         print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
         return

@@ -18,6 +18,7 @@ COMMANDS = {
     "map": ("ear_jax.cli.map", "draw what every place on the sphere of codes does"),
     "lse": ("ear_jax.cli.lse", "compare the state embedding along a gait with the raw state"),
     "render": ("ear_jax.cli.render", "film a policy, and draw the robot's way as a stop-motion strip"),
+    "export": ("ear_jax.cli.export", "write a run's policy to one file that loads anywhere"),
     "families": ("ear_jax.cli.families", "list the families of tasks"),
     "demo": ("ear_jax.cli.demo", "train a small agent here and now and see it run at commanded speeds"),
     "doctor": ("ear_jax.cli.doctor", "say what this installation is and whether it can work"),

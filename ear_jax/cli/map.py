@@ -23,13 +23,15 @@ class MapCommand:
     """Roll out codes spread over the sphere and draw what each makes the robot do."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, or an exported file."""
     places: int = 2000
     """Codes."""
     episodes: int = 1
     """Episodes a code."""
     seed: int = 0
     """Seeds the starts."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -40,13 +42,13 @@ def main(words: list[str]) -> None:
         if getattr(command, name) < least:
             raise UsageError(f"--{name} {getattr(command, name)} is too small; it must be at least {least}")
     enable_cache()
-    trained = load(command.run)
+    trained = load(command.run, command.family)
     if (size := trained.program.agent.code_size) != 3:
         raise UsageError(f"this run's codes have {size} numbers; only a sphere of 3 can be drawn")
     with phase(f"rolling out {command.places} LTEs"):
         document = describe(trained, survey(trained, command.places, command.episodes, command.seed))
-    records.write_json(command.run / "map.json", {**document, **records.provenance()})
-    pictures = draw_map(command.run / "figures", document)
+    records.write_json(trained.directory / "map.json", {**document, **records.provenance()})
+    pictures = draw_map(trained.directory / "figures", document)
     if command.json:
         print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
         return

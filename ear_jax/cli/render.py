@@ -24,8 +24,7 @@ from ear_jax.report.strip import draw_strip
 from ear_jax.report.video import write_gif, write_mp4
 from ear_jax.runtime import enable_cache
 from ear_jax.terminal import phase, say
-from ear_jax.train import Program
-from ear_jax.trained import load
+from ear_jax.trained import Trained, load
 from ear_jax.trajectory import Trajectory, follow
 
 BETAS = (0.75, 0.5, 0.25)
@@ -36,7 +35,7 @@ class RenderCommand:
     """Show what the policy does under tasks it was trained on, under a code, or between two tasks."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, or an exported file."""
     task: tuple[str, ...] = ()
     """Tasks it was trained on, as in 2 or 1 2 3."""
     lte: tuple[str, ...] = ()
@@ -53,6 +52,8 @@ class RenderCommand:
     """Seeds the start, which is the same for all."""
     policy: int = 0
     """Of a run of several seeds, whose policy: 0 is the first."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -69,16 +70,16 @@ def main(words: list[str]) -> None:
     command = parse(RenderCommand, words, "render")
     _check(command)
     enable_cache()
-    trained = load(command.run)
+    trained = load(command.run, command.family)
     program, seeds = trained.program, trained.program.config.seeds
     if not 0 <= command.policy < seeds:
         raise UsageError(f"--policy {command.policy} is none of the run's: it has {seeds}, and the first is 0")
     policy = jax.tree.map(lambda leaf: leaf[command.policy], trained.policies)
-    scenes = _scenes(command, program, policy)
+    scenes = _scenes(command, trained, policy)
     with phase("rolling out"):
         codes = jnp.stack([scene.code for scene in scenes])
         trajectories = follow(program, policy, codes, command.steps, jax.random.key(command.seed))
-    files = _draw(command.run, _file_name(command, scenes), program.family, scenes, trajectories)
+    files = _draw(trained.directory, _file_name(command, scenes), program.family, scenes, trajectories)
     if not command.json:
         print("pictures: " + ", ".join(map(str, files.values())))
         return
@@ -112,9 +113,10 @@ def _check(command: RenderCommand) -> None:
         raise UsageError(f"--beta {' '.join(map(str, command.beta))}: each must be a finite number")
 
 
-def _scenes(command: RenderCommand, program: Program, policy: Params) -> list[Scene]:
+def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Scene]:
     """What is asked for, in the order it is shown."""
-    agent, tasks, table = program.agent, program.tasks, program.agent.codes(policy)
+    program, agent, tasks = trained.program, trained.program.agent, trained.program.tasks
+    table = agent.codes(policy)
 
     def row(name: str) -> int:
         return tasks.index(find_task(program.family, name).name)
@@ -122,7 +124,7 @@ def _scenes(command: RenderCommand, program: Program, policy: Params) -> list[Sc
     if command.task:
         return [Scene(tasks.names[index], table[index]) for index in map(row, command.task)]
     if command.lte:
-        codes = ltes.find(command.run, command.lte, program.config.seeds, agent.code_size)
+        codes = ltes.find(trained.directory, command.lte, program.config.seeds, agent.code_size)
         return [Scene("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
     one, other = map(row, command.interpolate or ())
     if one == other:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -10,11 +11,14 @@ from typing import Annotated
 import tyro
 
 from ear_jax.cli.arguments import parse
-from ear_jax.config import Config, preset_config
+from ear_jax.config import Config, flat, preset_config
+from ear_jax.directory import check_place, default_directory
 from ear_jax.envs.registry import FAMILIES, find_family
 from ear_jax.errors import UsageError
-from ear_jax.run import default_directory, train_run
+from ear_jax.estimate import check_memory, gigabytes, memory, times
+from ear_jax.run import header, train_run
 from ear_jax.runtime import enable_cache
+from ear_jax.train import make_program
 
 
 @dataclass(frozen=True)
@@ -24,12 +28,39 @@ class TrainCommand:
     config: Annotated[tyro.conf.FlagConversionOff[Config], tyro.conf.arg(name="")]
     out: Path | None = None
     """The run directory; by default runs/FAMILY-AGENT-PRESET-seedN."""
+    dry_run: bool = False
+    """Print the configuration, the memory it takes and how fast it is here; train and write nothing."""
 
 
 def main(words: list[str]) -> None:
     enable_cache()
     command = read(words)
-    train_run(command.config, command.out or default_directory(command.config))
+    directory = command.out or default_directory(command.config)
+    if command.dry_run:
+        print_estimate(command.config, directory)
+    else:
+        train_run(command.config, directory)
+
+
+def print_estimate(config: Config, directory: Path) -> None:
+    """What `--dry-run` says; refuses what `ear train` would refuse."""
+    check_place(directory)
+    program = make_program(config)
+    check_memory(program)
+    print(header(program, directory))
+    for name, value in flat(config).items():
+        print(f"  {name.replace('_', '-')} {value}")
+    needed = memory(program)
+    free = "" if needed.available is None else f"; {gigabytes(needed.available)} are free"
+    parts = f"replay {gigabytes(needed.replay)}, networks and optimisers {gigabytes(needed.learner)}"
+    print(f"memory: {gigabytes(needed.total)}: {parts}{free}")
+    taken = times(config)
+    blocks = math.ceil(config.epochs / config.log.epochs)
+    minutes = (config.epochs * taken.epoch + blocks * taken.evaluation) / 60
+    print(
+        f"time here: {taken.compiling:.0f} s to compile, {taken.epoch:.2f} s an epoch, {taken.evaluation:.2f} s an "
+        f"evaluation every {config.log.epochs}; {config.epochs} epochs take {minutes:.0f} minutes"
+    )
 
 
 def read(words: list[str]) -> TrainCommand:

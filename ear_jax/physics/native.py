@@ -33,6 +33,8 @@ class NativeEngine:
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._substeps = substeps
         self._body_ids = body_ids
+        if mujoco.get_mju_user_warning() is None:
+            mujoco.set_mju_user_warning(_ignore)
         # Positions lag one substep behind the state after mj_step, so a family that reads them pays for a refresh.
         self._stage = mujoco.mjtStage.mjSTAGE_POS if body_ids else mujoco.mjtStage.mjSTAGE_NONE
         self._lock = threading.Lock()  # a step lets go of the GIL, and another thread or device may call meanwhile
@@ -71,6 +73,10 @@ class NativeEngine:
         state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
         self._pools[count] = _Pool(batch, (*state, batch.ctrl), state)
         return self._pools[count]
+
+
+def _ignore(warning: str) -> None:
+    """MuJoCo would write each into a MUJOCO_LOG.TXT in the user's directory; the grid counts unsound steps instead."""
 
 
 @dataclass(frozen=True)

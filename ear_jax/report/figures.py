@@ -26,15 +26,15 @@ STYLE: Any = {
 
 
 def draw_run(directory: Path, rows: list[dict[str, Any]], evaluation: dict[str, Any]) -> list[Path]:
-    """Draws a run's learning curve, and what it achieved against what was commanded, into its `figures/`."""
+    """Draws a run's learning curve, if it has one, and what it achieved against what was commanded, into `figures/`."""
     figures = directory / "figures"
     figures.mkdir(exist_ok=True)
-    return [
-        _draw(figures / "learning_curve.png", (4.5, 3.0), lambda axes: learning_curve(axes, rows)),
-        _draw(
-            figures / "commanded_achieved.png", (3.6, 3.4), lambda axes: commanded_against_achieved(axes, evaluation)
-        ),
-    ]
+    drawn = []
+    if rows:
+        drawn.append(_draw(figures / "learning_curve.png", (4.5, 3.0), lambda axes: learning_curve(axes, rows)))
+    points = figures / "commanded_achieved.png"
+    drawn.append(_draw(points, (3.6, 3.4), lambda axes: commanded_against_achieved(axes, evaluation)))
+    return drawn
 
 
 def _draw(path: Path, inches: tuple[float, float], draw: Callable[[Axes], None]) -> Path:

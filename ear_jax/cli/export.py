@@ -1,0 +1,72 @@
+"""`ear export RUN FILE`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import tyro
+
+from ear_jax import records
+from ear_jax.cli.arguments import parse
+from ear_jax.errors import UsageError
+from ear_jax.export import SUFFIX, write_policy
+from ear_jax.trained import Trained, load
+
+
+@dataclass(frozen=True)
+class ExportCommand:
+    """Write a run's newest policy to one file, which every command takes that takes a run. It has no replay."""
+
+    run: tyro.conf.Positional[Path]
+    """The run directory."""
+    file: tyro.conf.Positional[Path]
+    """The file, FILE.safetensors, which must not be there yet."""
+    family: str | None = None
+    """A family of your own has to be named again, as for `ear train`."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(ExportCommand, words, "export")
+    if command.file.suffix != SUFFIX:
+        raise UsageError(f"{command.file} must end in {SUFFIX}")
+    if command.file.exists():
+        raise UsageError(f"{command.file} is there already; name another file")
+    trained = load(command.run, command.family)
+    about = {name: value for name, value in trained.about.items() if name != "leaves"}
+    card = describe(trained, records.read_rows(command.run / "metrics.jsonl"))
+    codes = jax.vmap(trained.program.agent.codes)(trained.policies)
+    write_policy(command.file, trained.policies, codes, about, card)
+    size = command.file.stat().st_size
+    if command.json:
+        print(json.dumps({"file": str(command.file), "bytes": size, "epoch": trained.epoch, "card": card}))
+    else:
+        print(f"{card}\n\n{command.file}: {size:,} bytes")
+
+
+def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
+    """The card: what a person should know who is handed the file.
+
+    Args:
+      trained: the policies.
+      rows: the run's metrics; of them the evaluation at the policies' epoch is told.
+    """
+    program, about = trained.program, trained.about
+    config, versions = program.config, about["versions"]
+    found = [row["mean_return"] for row in rows if row["epoch"] == trained.epoch]
+    reached = f", mean return {sum(found) / len(found):.1f}" if found else ""
+    return "\n".join(
+        [
+            f"{config.family}, agent {config.agent}, preset {config.preset}, seeds from {config.seed}: {config.seeds}",
+            f"tasks, in the order of the code table: {', '.join(program.tasks.names)}",
+            f"trained for {trained.epoch} epochs, {program.env_steps(trained.collected):,} env steps and "
+            f"{trained.epoch * config.sac.updates:,} updates a seed{reached}",
+            f"engine {about['engine']}, mujoco {versions['mujoco']}, jax {versions['jax']}, commit {about['commit']}",
+            "policy.* are the networks' parameters [seeds, …], codes the table [seeds, tasks, code]",
+        ]
+    )

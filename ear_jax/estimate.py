@@ -1,0 +1,105 @@
+"""What a run will take, told before it starts: memory by its shapes, time by a few steps and updates made here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+
+from ear_jax import runtime, train
+from ear_jax.config import Config
+from ear_jax.errors import RunError
+from ear_jax.evaluate import Episodes, play_training_tasks
+from ear_jax.networks import Params
+from ear_jax.terminal import phase
+from ear_jax.train import Program
+
+FEW = 5  # steps and updates that are timed
+REPEATS = 3
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Bytes of all seeds together."""
+
+    replay: int
+    learner: int  # networks, targets and optimisers
+    total: int
+    available: int | None  # None where it cannot be told
+
+
+@dataclass(frozen=True)
+class Times:
+    """Seconds of all seeds together."""
+
+    compiling: float
+    epoch: float
+    evaluation: float  # after each block
+
+
+def memory(program: Program) -> Memory:
+    """What a run's state takes; nothing is allocated."""
+    state = jax.eval_shape(jax.vmap(partial(train.init, program)), train.seed_keys(program.config))
+    replay, learner, total = (runtime.tree_bytes(part) for part in (state.replay, state.learner, state))
+    return Memory(replay, learner, total, runtime.available_bytes())
+
+
+def check_memory(program: Program) -> None:
+    """Refuses a run that will not fit; raises RunError with the sizes."""
+    needed = memory(program)
+    if needed.available is not None and needed.total > needed.available:
+        raise RunError(
+            f"this run needs {gigabytes(needed.total)} of memory, {gigabytes(needed.replay)} of it for replay, and "
+            f"{gigabytes(needed.available)} are free; lower --replay.capacity or --seeds"
+        )
+
+
+def gigabytes(count: int) -> str:
+    return f"{count / 1e9:.2f} GB"
+
+
+def times(config: Config) -> Times:
+    """Times what an epoch is made of, steps and updates, by a program that does only a few of each.
+
+    Args:
+      config: of the run; its whole replay is allocated.
+    """
+    collect, sac = config.collect, config.sac
+    steps, updates = min(FEW, collect.steps), min(FEW, sac.updates)
+    few = replace(config, collect=replace(collect, steps=steps, pretrain_epochs=1), sac=replace(sac, updates=updates))
+    program, keys = train.make_program(few), train.seed_keys(few)
+
+    def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+        return jax.jit(jax.vmap(function), compiler_options=runtime.compiler_options(), **options)
+
+    def evaluate(policy: Params, key: jax.Array) -> Episodes:
+        return play_training_tasks(program, policy, key, config.log.episodes)
+
+    collecting = compiled(partial(train.pretrain, program), donate_argnums=0)
+    training = compiled(lambda state: train.train_epoch(program, state)[0], donate_argnums=0)
+    evaluating = compiled(evaluate)
+    began = time.perf_counter()
+    with phase("compiling"):
+        state = training(collecting(compiled(partial(train.init, program))(keys)))
+        jax.block_until_ready(evaluating(state.learner.policy, keys))
+    compiling = time.perf_counter() - began
+    with phase(f"timing {steps} steps and {updates} updates"):
+        collected, state = _fastest(collecting, state)
+        trained, state = _fastest(training, state)
+        evaluated, _ = _fastest(lambda state: evaluating(state.learner.policy, keys), state, repeats=1)
+    update = max(trained - collected, 0.0) / updates
+    return Times(compiling, collected / steps * collect.steps + update * sac.updates, evaluated)
+
+
+def _fastest(run: Callable[[Any], Any], state: Any, repeats: int = REPEATS) -> tuple[float, Any]:
+    """Seconds of the fastest of some runs, each on what the one before returned, and what the last returned."""
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        state = jax.block_until_ready(run(state))
+        seconds.append(time.perf_counter() - began)
+    return min(seconds), state
