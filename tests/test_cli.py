@@ -15,8 +15,8 @@ import pytest
 from ear_jax.cli.doctor import known_bad
 from ear_jax.cli.main import main
 from ear_jax.cli.train import read
+from ear_jax.directory import default_directory
 from ear_jax.records import versions
-from ear_jax.run import default_directory
 
 TINY = [
     "--engine",
