@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -172,4 +173,4 @@ def _draw(run: Path, name: str, family: Family, scenes: list[Scene], trajectorie
 
 def _label(family: Family, scene: Scene, trajectory: Trajectory) -> str:
     fell = "\nfell" if trajectory.fell else ""
-    return f"{scene.name}\n{trajectory.achieved:z.2f} {family.unit}{fell}"
+    return f"{textwrap.fill(scene.name, 16)}\n{trajectory.achieved:z.2f} {family.unit}{fell}"
