@@ -184,17 +184,21 @@ def test_without_its_replay_a_checkpoint_is_small_and_continuing_says_what_it_co
     assert checkpoint.newest(steps, pytest.fail).about["replay"]
 
 
+def times(directory: Path) -> dict[Path, int]:
+    """When each file was changed last; the lock is whoever's that looked."""
+    return {path: path.stat().st_mtime_ns for path in directory.rglob("*") if path.name != "lock"}
+
+
 @pytest.fixture
 def refusal(finished, monkeypatch) -> Callable[..., str]:
     """What training that run is refused with, before anything is compiled or written."""
     monkeypatch.setattr(run, "compile_program", lambda *_: pytest.fail("it came to compiling"))
 
     def refuse(config: Config) -> str:
-        before = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
+        before = times(finished)
         with pytest.raises((UsageError, RunError)) as raised:
             train_run(config, finished)
-        after = {path: path.stat().st_mtime_ns for path in finished.rglob("*")}
-        assert {path: after[path] for path in after if path.name != "lock"} == before
+        assert times(finished) == before
         assert "\n" not in str(raised.value)
         return str(raised.value)
 
