@@ -13,7 +13,7 @@ from ear_jax import records
 from ear_jax.errors import RunError, UsageError, unknown
 
 FILE = "ltes.json"
-NAME = re.compile(r"[A-Za-z][\w.-]*")
+NAME = r"[A-Za-z][\w.-]*"
 
 
 def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]]) -> None:
@@ -27,7 +27,7 @@ def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]]) -> N
 
 
 def check_name(name: str) -> None:
-    if not NAME.fullmatch(name):
+    if not re.fullmatch(NAME, name):
         raise UsageError(f"{name!r} cannot name an LTE; begin with a letter and go on with letters, digits, . - or _")
 
 
@@ -50,7 +50,7 @@ def find(run: Path, words: Sequence[str], seeds: int, size: int) -> list[list[fl
     Raises:
       UsageError: no such name, or numbers that are no direction.
     """
-    if len(words) == 1 and NAME.fullmatch(words[0]):
+    if len(words) == 1 and re.fullmatch(NAME, words[0]):
         return lookup(run, words[0])["codes"]
     try:
         code = [float(word) for word in words]

@@ -32,6 +32,7 @@ CALLS |= {"spec_from_file_location", "allow_pickle", "extractall", "unpack_archi
 # Where a name is imported that the user typed, or that stands in this package.
 ALLOWED = {
     ("cli/main.py", "import_module"),  # a command, out of a table
+    ("stage.py", "import_module"),  # one of MuJoCo's two ways to OpenGL
     ("envs/registry.py", "spec_from_file_location"),  # a family, named on the command line
     ("envs/registry.py", "exec_module"),
     ("envs/registry.py", "entry_points"),  # a family that an installed package offers
