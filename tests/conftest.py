@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import gc
 import resource
 import shutil
 from collections.abc import Callable, Iterator
@@ -98,9 +99,13 @@ def words(config: Config) -> list[str]:
     return found
 
 
+# Where a write fails, Orbax leaves others behind that nobody waits for, and Python tells of them when it finds them.
+stray_writes = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+
 @pytest.fixture
-def small_files() -> Callable[[int], AbstractContextManager[None]]:
-    """While entered, no file may grow beyond so many bytes, as on a disk that is full."""
+def small_files() -> Iterator[Callable[[int], AbstractContextManager[None]]]:
+    """While entered, no file may grow beyond so many bytes, as on a disk that is full; goes with `stray_writes`."""
 
     @contextmanager
     def limited(size: int) -> Iterator[None]:
@@ -111,4 +116,5 @@ def small_files() -> Callable[[int], AbstractContextManager[None]]:
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
-    return limited
+    yield limited
+    gc.collect()  # so that they are found here, and not in another test

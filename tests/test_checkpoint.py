@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import finished_config
+from conftest import finished_config, stray_writes
 from test_train import last_state, leaves
 
 from ear_jax import checkpoint, manifest, records
@@ -166,6 +166,7 @@ def test_links_and_strangers_in_a_step_are_refused_unread(steps, tmp_path):
     assert newest(steps) == (2, [])
 
 
+@stray_writes
 def test_a_save_that_fails_leaves_the_steps_before(state, steps, small_files):
     large = jax.random.normal(jax.random.key(0), 100_000)
     with small_files(4_000), pytest.raises(RunError, match=r"epoch 6 could not be written: .*File too large"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import gc
 import os
 import random
 import re
@@ -19,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import finished_config, words
+from conftest import finished_config, stray_writes, words
 from test_train import last_state, leaves
 
 from ear_jax import checkpoint, records, run
@@ -125,8 +124,7 @@ def test_killed_at_twenty_random_moments_it_ends_as_if_nothing_had_been(tmp_path
     assert_same_run(directory, tmp_path / "whole", config)
 
 
-# Where a write fails, Orbax leaves writes behind that nobody waits for; Python tells of them whenever it finds them.
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@stray_writes
 def test_a_full_disk_is_survived_and_told(finished, monkeypatch, small_files, capsys, compiled_once):
     save = checkpoint.save
 
@@ -138,7 +136,6 @@ def test_a_full_disk_is_survived_and_told(finished, monkeypatch, small_files, ca
     config = finished_config(epochs=28, checkpoint=CheckpointConfig(blocks=1))
     with pytest.raises(RunError, match=r"epoch 28 could not be written: .*File too large.* continues from the check"):
         train_run(config, finished)
-    gc.collect()
     assert "warning: the checkpoint of epoch 26 could not be written" in capsys.readouterr().err
     assert checkpoint.newest(finished / "checkpoints", pytest.fail).epoch == 24
     monkeypatch.setattr(run.checkpoint, "save", save)
