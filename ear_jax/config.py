@@ -37,6 +37,8 @@ class NetworkConfig:
     """LayerNorm in the critics."""
     standardise_obs: bool = False
     """Show the networks observations in standard deviations from the mean of replay."""
+    history: int = 1
+    """Latest observations shown to the agent at once; a recurrent one reads them in their order."""
     initialiser: Literal["authors", "fan_in"] = "authors"
     """Weights as in the authors' code, or uniform by fan-in."""
 
@@ -116,7 +118,7 @@ class Config:
     preset: str = "fast"
     """paper, fast or smoke, and what of EAR to leave out: fast+no-noise, fast+no-norm, fast+no-noise+no-norm."""
     agent: str = "ear"
-    """ear, onehot, onehot-blind (the one-hot zeroed) or multihead."""
+    """ear, ear-rnn (recurrent), onehot, onehot-blind (the one-hot zeroed) or multihead."""
     engine: str = "auto"
     """Physics engine: auto, native (CPU), mjx, or warp (an extra; NVIDIA's kernels)."""
     seed: int = 0
@@ -182,12 +184,14 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("smoke", "halfcheetah-run-jump"): {"tasks": ("back-1", "back-3", "jump-5")},
 }
 
-# And for one agent (the authors' code of the baselines).
+# And for one agent: the authors' code of the baselines, and how far back a recurrent one reads.
+_RECURRENT = {"network": {"history": 8}}
 AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("paper", "multihead"): {
         "network": {"decoder_layers": 3, "critic_layers": 3},
         "sac": {"max_grad_norm": 1.0},
     },
+    **{(preset, "ear-rnn"): _RECURRENT for preset in PRESETS},
 }
 
 # What a preset's name may go on with after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), and
@@ -307,7 +311,7 @@ _MINIMA: dict[str, int] = {
     "seeds": 1,
     "epochs": 1,
     "minutes": 0,
-    **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size")},
+    **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
     "sac.batch_size": 1,
     "sac.updates": 1,

@@ -63,6 +63,15 @@ def mlp(size: int, widths: tuple[int, ...], out: int, initialiser: Initialiser, 
     )
 
 
+def recurrent_layer(size: int, width: int, initialiser: Initialiser) -> Network:
+    """Elman's layer hₜ = tanh(W xₜ + U hₜ₋₁ + b), h₀ = 0, along items [steps, size] to [steps, width]; U orthogonal."""
+    kernel = _by_fan(1 if initialiser == "authors" else 0)
+    module = nn.RNN(nn.SimpleCell(width, kernel_init=kernel))
+    return Network(
+        lambda key: module.init(key, jnp.zeros((1, size))), lambda params, x: jnp.asarray(module.apply(params, x))
+    )
+
+
 @struct.dataclass
 class Standardiser:
     """Where observations lie and how far they spread; part of a policy's parameters, and not learnt by gradients."""

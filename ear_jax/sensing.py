@@ -52,7 +52,8 @@ def sense(trained: Trained, task: str, seed: int) -> list[dict[str, Signal]]:
         act = act_with(agent, policy, agent.codes(policy)[row : row + 1])
         noise = jnp.zeros((steps, 1, 1, program.family.action_size))
         _, obs = rollout(grid, act, grid.start(key, params, 1), noise, lambda transition: transition.obs[0, 0])
-        return obs, jax.vmap(lambda one: embed(policy, one))(obs)
+        newest = obs[:, -(program.family.observation_size // program.family.history) :]
+        return newest, jax.vmap(lambda one: embed(policy, one))(obs)
 
     keys = jax.random.split(jax.random.key(seed), program.config.seeds)
     seen = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))

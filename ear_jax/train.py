@@ -67,6 +67,7 @@ def make_program(config: Config) -> Program:
       RunError: the engine cannot run here.
     """
     family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
+    family.history = config.network.history
     tasks = task_set([find_task(family, name) for name in config.tasks]) if config.tasks else family.training_tasks()
     check(config, len(tasks))
     sizes = (family.observation_size, family.action_size, len(tasks))

@@ -34,27 +34,28 @@ class Trained:
     about: dict[str, Any] = field(default_factory=dict)  # written with it: configuration, tasks, versions, machine
 
 
-def load(path: Path, family: str | None = None) -> Trained:
+def load(path: Path, family: str | None = None, engine: str | None = None) -> Trained:
     """Reads the policies of a run's newest good checkpoint, or of a file that `ear export` wrote.
 
     Args:
       path: the run's directory, or the file.
       family: the family, as `ear train` takes it. It has to be named where it is not one of this package's: no code is
         run because a file says so.
+      engine: the physics engine; by default a run's own, and for a file the one that is best here.
 
     Raises:
       UsageError: there is no run, or its family has to be named.
-      RunError: it has no checkpoint yet, or none that is whole.
+      RunError: it has no checkpoint yet, or none that is whole, or the engine cannot run here.
     """
-    return _from_file(path, family) if path.is_file() else _from_run(path, family)
+    return (_from_file if path.is_file() else _from_run)(path, family, engine)
 
 
-def _from_run(directory: Path, family: str | None) -> Trained:
+def _from_run(directory: Path, family: str | None, engine: str | None) -> Trained:
     records.read_run(directory)
     step = checkpoint.newest(directory / "checkpoints", say)
     if step is None:
         raise RunError(f"{directory} has no checkpoint yet; the same `ear train` command continues it")
-    program = _program(directory, step.about, family)
+    program = _program(directory, step.about, family, engine or step.about["config"]["engine"])
     like = _shapes(program)
     nothing = jax.tree.map(lambda _: None, like)
     policy = replace(nothing.learner, policy=like.learner.policy)
@@ -64,10 +65,9 @@ def _from_run(directory: Path, family: str | None) -> Trained:
     return Trained(str(directory), program, state.learner.policy, step.epoch, directory, collected, about)
 
 
-def _from_file(path: Path, family: str | None) -> Trained:
+def _from_file(path: Path, family: str | None, engine: str | None) -> Trained:
     about, arrays = read_policy(path)
-    about["config"]["engine"] = "auto"  # it may have been trained on another machine
-    program = _program(path, about, family)
+    program = _program(path, about, family, engine or "auto")  # it may have been trained on another machine
     like = {"policy": _shapes(program).learner.policy}
     difference = first_difference(layout(named(like)), layout(arrays), partly=True)
     if difference:
@@ -77,13 +77,13 @@ def _from_file(path: Path, family: str | None) -> Trained:
     return Trained(str(path), program, policies, about["epoch"], directory, about["collected"], about)
 
 
-def _program(holder: Path, about: dict[str, Any], family: str | None) -> Program:
+def _program(holder: Path, about: dict[str, Any], family: str | None, engine: str) -> Program:
     config = from_dict(about["config"])
     if family is None and config.family not in FAMILIES:
         raise UsageError(f"{holder} is of a family that is not ear_jax's own; name it: --family {config.family}")
     if family is not None and family.rpartition(":")[2] != config.family.rpartition(":")[2]:
         raise UsageError(f"{holder} is of family {config.family}, not {family}")
-    program = train.make_program(replace(config, family=family or config.family))
+    program = train.make_program(replace(config, family=family or config.family, engine=engine))
     check_tasks(holder, about, program.tasks)
     return program
 

@@ -65,13 +65,18 @@ def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "compile_program", _compile_once)
 
 
+def compiled(config: Config) -> run.Compiled:
+    """The compiled program of a configuration; of those that differ only in how long to train, the same."""
+    return _compiled(dataclasses.replace(config, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
+
+
 @functools.cache
 def _compiled(config: Config) -> run.Compiled:
     return compile_program(make_program(config), seed_keys(config))
 
 
 def _compile_once(program: Program, keys: jax.Array) -> run.Compiled:
-    return _compiled(dataclasses.replace(program.config, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
+    return compiled(program.config)
 
 
 @pytest.fixture(scope="session")

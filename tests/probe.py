@@ -65,3 +65,21 @@ class Slider(Bandit):
 
     def terminated(self, physics: Physics) -> jax.Array:
         return physics.qpos[0] > 2
+
+
+class Recall(Slider):
+    """A cue, where the mass starts, is seen at the first step only; at every step the best action is half of it."""
+
+    name = "recall"
+
+    def initial(self, key: jax.Array) -> Physics:
+        return Physics(jax.random.rademacher(key, (1,), jnp.float32), jnp.zeros(1), jnp.zeros(1))
+
+    def observe(self, physics: Physics) -> jax.Array:
+        return jnp.where(physics.qvel == 0, physics.qpos, 0.0)
+
+    def outcome(self, motion: Motion) -> Outcome:
+        return {"action": motion.action[0], "cue": jnp.sign(motion.before.qpos[0])}
+
+    def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
+        return -((outcome["action"] - 0.5 * outcome["cue"]) ** 2)

@@ -74,7 +74,8 @@ def test_a_blend_of_two_heads_is_one_of_them(solved):
 
 @pytest.mark.parametrize("name", AGENTS)
 def test_codes_are_where_projection_leaves_them(name):
-    agent = make_agent(name, 3, 2, 4, preset_config("bandit", "smoke", name).network, 0.02)
+    config = preset_config("bandit", "smoke", name).network
+    agent = make_agent(name, 3 * config.history, 2, 4, config, 0.02)
     table = agent.codes(agent.init_policy(jax.random.key(0)))
     assert table.shape == (4, agent.code_size)
     np.testing.assert_allclose(jax.vmap(agent.project)(table), table, atol=1e-6)
@@ -88,15 +89,18 @@ def test_parameter_counts_are_the_papers(name):
     config = preset_config("halfcheetah-vel", "paper", name).network
     hidden = (400 + 1) * 400
     ear_policy = (18 * 400 + hidden + 401 * 16) + 11 * 3 + (20 * 400 + 3 * hidden + 401 * 12)
+    recurrent_policy = ear_policy + 2 * 400 * 400
     onehot_policy, onehot_critic = 28 * 400 + 3 * hidden + 401 * 12, 34 * 400 + 3 * hidden + 401
     heads_policy, heads_critic = 18 * 400 + 2 * hidden + 401 * 120, 24 * 400 + 2 * hidden + 401 * 10
     expected = {
         "ear": (ear_policy, onehot_critic),
+        "ear-rnn": (recurrent_policy, onehot_critic),
         "onehot": (onehot_policy, onehot_critic),
         "onehot-blind": (onehot_policy, onehot_critic),
         "multihead": (heads_policy, heads_critic),
     }[name]
-    counts = make_agent(name, *CHEETAH, config, 0.02).parameter_counts
+    observations, *sizes = CHEETAH
+    counts = make_agent(name, observations * config.history, *sizes, config, 0.02).parameter_counts
     assert (counts["policy"], counts["critic"]) == expected
 
 

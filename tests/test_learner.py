@@ -20,18 +20,19 @@ from ear_jax.runtime import compiler_options
 from ear_jax.train import Program
 
 
-def bandit_program(agent: str = "ear", **sac: object) -> Program:
-    base = Config("bandit", agent=agent)
+def bandit_program(agent: str = "ear", kind: type[Bandit] = Bandit, history: int = 1, **sac: object) -> Program:
+    base = Config(kind.name, agent=agent)
     config = dataclasses.replace(
         base,
-        network=NetworkConfig(32, 1, 1, 1, initialiser="fan_in"),
+        network=NetworkConfig(32, 1, 1, 1, initialiser="fan_in", history=history),
         sac=dataclasses.replace(base.sac, lr=1e-2, batch_size=64, updates=50, **sac),
         collect=dataclasses.replace(base.collect, envs=16, steps=2, pretrain_epochs=4),
         replay=dataclasses.replace(base.replay, capacity=4000),
     )
-    family = Bandit("native")
+    family = kind("native")
+    family.history = history
     tasks = family.training_tasks()
-    bundle = make_agent(agent, 1, 1, len(tasks), config.network, config.sac.lte_noise)
+    bundle = make_agent(agent, family.observation_size, 1, len(tasks), config.network, config.sac.lte_noise)
     return Program(config, family, tasks, bundle, Learner(bundle, family, tasks.params, config))
 
 

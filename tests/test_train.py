@@ -13,21 +13,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from conftest import tiny_config
+from conftest import compiled, tiny_config
 
-from ear_jax import checkpoint, records, train
+from ear_jax import checkpoint, records, run, train
 from ear_jax.errors import UsageError
 from ear_jax.leaves import named
 from ear_jax.run import compile_program, train_run
 from ear_jax.train import make_program, seed_keys
 
+pytestmark = pytest.mark.usefixtures("compiled_once")
+
 
 def state_after(config, chunks: int):
-    keys = seed_keys(config)
-    compiled = compile_program(make_program(config), keys)
-    state = compiled.begin(keys)
+    program = compiled(config)
+    state = program.begin(seed_keys(config))
     for _ in range(chunks):
-        state, _ = compiled.chunk(state, jnp.int32(2))
+        state, _ = program.chunk(state, jnp.int32(2))
     return state
 
 
@@ -42,6 +43,7 @@ def last_state(run: Path, config, warn=pytest.fail) -> train.TrainState:
 
 
 def test_chunk_is_traced_once_in_a_run_of_several(tiny, run_directory, monkeypatch):
+    monkeypatch.setattr(run, "compile_program", compile_program)  # one of its own
     traces = []
     original = train.train_epoch
     monkeypatch.setattr(train, "train_epoch", lambda *words: traces.append(1) or original(*words))
@@ -70,9 +72,9 @@ def test_stopping_and_continuing_equals_never_stopping(tiny, tmp_path):
     train_run(tiny, whole)
     train_run(dataclasses.replace(tiny, epochs=2), parts)
     train_run(tiny, parts)
-    for one, two in zip(*(leaves(last_state(run, tiny)) for run in (whole, parts)), strict=True):
+    for one, two in zip(*(leaves(last_state(place, tiny)) for place in (whole, parts)), strict=True):
         np.testing.assert_array_equal(one, two)
-    rows = [records.read_rows(run / "metrics.jsonl") for run in (whole, parts)]
+    rows = [records.read_rows(place / "metrics.jsonl") for place in (whole, parts)]
     for row in (*rows[0], *rows[1]):
         del row["seconds"]
     assert rows[0] == rows[1]
@@ -141,7 +143,6 @@ def test_fifty_short_runs_of_the_callback_engine_do_not_deadlock():
 
 
 def test_many_runs_in_one_process_do_not_deadlock():
-    keys = seed_keys(tiny_config())
-    compiled = compile_program(make_program(tiny_config()), keys)
+    keys, program = seed_keys(tiny_config()), compiled(tiny_config())
     for _ in range(50):
-        jax.block_until_ready(compiled.chunk(compiled.begin(keys), jnp.int32(1)))
+        jax.block_until_ready(program.chunk(program.begin(keys), jnp.int32(1)))

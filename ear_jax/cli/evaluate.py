@@ -35,6 +35,8 @@ class EvaluateCommand:
     """Seeds the starts, which no training step has seen."""
     family: str | None = None
     """A family of your own has to be named again, as for `ear train`."""
+    engine: str | None = None
+    """Physics engine: auto, native (CPU), mjx or warp; by default the run's own."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -44,7 +46,7 @@ def main(words: list[str]) -> None:
     if command.episodes < 1:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
     enable_cache()
-    trained = load(command.run, command.family)
+    trained = load(command.run, command.family, command.engine)
     if command.lte:
         seeds, size = trained.program.config.seeds, trained.program.agent.code_size
         codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size))

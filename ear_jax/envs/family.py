@@ -42,6 +42,8 @@ class Family(Env):
     period: ClassVar[float | None] = None  # where that quantity wraps, as directions do at 360
     episode_length: ClassVar[int] = 200  # steps; a time limit, which is no termination
 
+    history: int = 1  # observations shown at once; at a start, the first in place of those before it
+
     options: ClassVar[tuple[str, ...]] = ()  # attributes that may be set when it is made
 
     def __init__(self, engine: str = "auto", task: Task | None = None, **options: Any):
@@ -82,7 +84,7 @@ class Family(Env):
 
     @abc.abstractmethod
     def observe(self, physics: Physics) -> jax.Array:
-        """What the policy sees, [observation_size]."""
+        """What the policy sees of a state, [size]."""
 
     @abc.abstractmethod
     def outcome(self, motion: Motion) -> Outcome:
@@ -122,7 +124,7 @@ class Family(Env):
         blank = jax.eval_shape(self.outcome, Motion(physics, *self._still()))
         outcome = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank)
         info: dict[str, Any] = {"task": task, "key": key_later}
-        return State(physics, self.observe(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
+        return State(physics, self._first_seen(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
 
     def reset(self, rng: jax.Array) -> State:
         task = self.task or self.training_tasks().tasks[0]
@@ -130,10 +132,10 @@ class Family(Env):
 
     def step(self, state: State, action: jax.Array) -> State:
         motion = self.engine.step(state.pipeline_state, action)
-        outcome = self.outcome(motion)
+        outcome, seen = self.outcome(motion), self.observe(motion.after)
         return state.replace(
             pipeline_state=motion.after,
-            obs=self.observe(motion.after),
+            obs=jnp.concatenate([state.obs[len(seen) :], seen]),
             reward=self.reward(outcome, state.info["task"]),
             done=jnp.asarray(self.terminated(motion.after), jnp.float32),
             metrics={**state.metrics, **outcome},
@@ -142,7 +144,8 @@ class Family(Env):
 
     @property
     def observation_size(self) -> int:
-        return jax.eval_shape(lambda key: self.observe(self.initial(key)), jax.random.key(0)).shape[0]
+        """Numbers in what an agent is given: `history` observations, the oldest first."""
+        return jax.eval_shape(lambda key: self._first_seen(self.initial(key)), jax.random.key(0)).shape[0]
 
     @property
     def action_size(self) -> int:
@@ -151,6 +154,9 @@ class Family(Env):
     @property
     def backend(self) -> str:
         return self.engine.name
+
+    def _first_seen(self, physics: Physics) -> jax.Array:
+        return jnp.tile(self.observe(physics), self.history)
 
     def _still(self) -> tuple[jax.Array, Physics, jax.Array]:
         """The rest of a motion, for shapes only."""
@@ -164,4 +170,4 @@ def _with_fresh_start(family: Family, info: dict[str, Any]) -> dict[str, Any]:
         return info
     key_first, key_later = jax.random.split(info["key"])
     first = family.initial(key_first)
-    return {**info, "key": key_later, "first_pipeline_state": first, "first_obs": family.observe(first)}
+    return {**info, "key": key_later, "first_pipeline_state": first, "first_obs": family._first_seen(first)}
