@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import random
@@ -20,9 +21,11 @@ from test_train import last_state, leaves
 from ear_jax import checkpoint, manifest, records
 from ear_jax.errors import RunError
 from ear_jax.run import train_run
+from ear_jax.trained import load
 
 FIXTURES = Path(__file__).parent / "fixtures"
 FLIPS = 200
+FIXTURE_CODES = [[0.5913335, 0.14441064, 0.7933916], [-0.41545773, -0.656422, -0.6296865]]
 
 
 @pytest.fixture
@@ -197,6 +200,18 @@ checkpoint.save(Path(sys.argv[3]) / "checkpoints", 24, state, {})
     states = [last_state(run, finished_config()) for run in (finished, tmp_path / "two")]
     for one, other in zip(*map(leaves, states), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_a_checkpoint_of_the_first_format_loads_and_its_run_goes_on(tmp_path, compiled_once):
+    """Written in November 2026 and never since: what breaks this loses users' runs."""
+    directory = Path(shutil.copytree(FIXTURES / "format-1", tmp_path / "run"))
+    trained = load(directory)
+    codes = trained.program.agent.codes(jax.tree.map(lambda leaf: leaf[0], trained.policies))
+    np.testing.assert_allclose(codes, FIXTURE_CODES, atol=1e-5)
+    config = trained.program.config
+    np.testing.assert_array_equal(last_state(directory, config).replay.added, [[60, 60]])
+    train_run(dataclasses.replace(config, epochs=6), directory)
+    assert [row["epoch"] for row in records.read_rows(directory / "metrics.jsonl")] == [2, 4, 6]
 
 
 def test_a_format_from_the_future_is_refused(steps):
