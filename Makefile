@@ -39,6 +39,9 @@ bench: setup
 	$(BIN)/python -m benchmarks.chunk
 	$(BIN)/python -m benchmarks.startup
 	$(BIN)/python -m benchmarks.adaptation
+	$(BIN)/python -m benchmarks.saving
+	$(BIN)/python -m benchmarks.peers
+	$(BIN)/python -m benchmarks.time_to_return
 	$(BIN)/python -m benchmarks.figures
 
 # Pins every package with hashes for Python 3.11 to 3.13, without an index's address. Needs uv.

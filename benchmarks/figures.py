@@ -112,6 +112,26 @@ def draw_startup(axes: Axes, rows: list[Row]) -> None:
     axes.legend(frameon=False, fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.18))
 
 
+def draw_peers(axes: Axes, rows: list[Row]) -> None:
+    """Time of an update beside PyTorch's."""
+    rows = [row for row in rows if row["what"] == "update"]
+    parts = (("ours", COLOURS[0], "ours_ms"), ("PyTorch", COLOURS[1], "torch_ms"))
+    parts += (("PyTorch, bf16", COLOURS[2], "torch_bf16_ms"),)
+    renamed = [(label, colour, [_rename(row, key) for row in rows]) for label, colour, key in parts]
+    bars(axes, [row["preset"] for row in rows], renamed, "ms")
+    axes.set(ylabel="time of one update (ms)", title="The same update in plain PyTorch")
+    _log_scale(axes)
+    axes.legend(frameon=False, fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+
+
+def draw_adaptation(axes: Axes, rows: list[Row]) -> None:
+    """Seconds that whole commands take."""
+    groups = [f"ear {row['command']}\n{row['env_steps']:,} env steps" for row in rows]
+    bars(axes, groups, [("", COLOURS[0], list(rows))], "seconds")
+    axes.set(ylabel="seconds, start and compilation included", title="What a trained policy is asked")
+    axes.set_ylim(0)
+
+
 def _log_scale(axes: Axes) -> None:
     axes.set_yscale("log")
     axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -133,10 +153,12 @@ def main() -> None:
         (draw_physics, latest(options.results / "physics.jsonl", ("engine", "family", "batch", "beside"))),
         (draw_ratios, latest(options.results / "physics.jsonl", ("engine", "family", "batch", "beside"))),
         (draw_updates, latest(options.results / "update.jsonl", ("preset", "seeds", "backend"))),
+        (draw_peers, latest(options.results / "peers.jsonl", ("what", "preset"))),
         (draw_startup, latest(options.results / "startup.jsonl", ("what", "module", "preset", "cache"))),
+        (draw_adaptation, latest(options.results / "adaptation.jsonl", ("command",))),
     )
     with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(2, 2, figsize=(10, 7.5), layout="constrained")
+        figure, grid = plt.subplots(3, 2, figsize=(10, 11.2), layout="constrained")
         for axes, (draw, rows) in zip(grid.flat, panels, strict=True):
             if rows:
                 draw(axes, rows)

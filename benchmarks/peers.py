@@ -1,0 +1,138 @@
+"""Others' code beside ours: the update in plain PyTorch, and SBX's SAC on a Gymnasium task, in turn with ours.
+
+They live in an environment of their own, made from `peers.txt` at the first call. Neither can be imported here: each
+contender's figure comes from a process that runs nothing else.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import subprocess
+import sys
+import time
+import venv
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from benchmarks import common
+from benchmarks.update import filled, update_run
+from ear_jax import runtime, train
+from ear_jax.config import Config, preset_config
+
+HERE = Path(__file__).resolve().parent
+PLACE = HERE / ".peers"
+FAMILY = "halfcheetah-vel"
+
+
+def interpreter() -> str:
+    """Of the peers' environment, which is made where it is missing."""
+    python = PLACE / "bin" / "python"
+    if not (PLACE / "made").exists():
+        print(f"installing peers into {PLACE}", file=sys.stderr)
+        venv.create(PLACE, clear=True, with_pip=True)
+        subprocess.run([python, "-m", "pip", "install", "--quiet", "-r", HERE / "peers.txt"], check=True)
+        (PLACE / "made").touch()
+    return str(python)
+
+
+def ask(script: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """What a peer prints of itself."""
+    done = subprocess.run(
+        [interpreter(), HERE / script, json.dumps(settings)], capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def torch_settings(config: Config, program: train.Program, updates: int) -> dict[str, Any]:
+    sizes = {
+        "obs": program.family.observation_size,
+        "act": program.family.action_size,
+        "tasks": len(program.tasks),
+        "updates": updates,
+    }
+    return {**dataclasses.asdict(config.network), **dataclasses.asdict(config.sac), **sizes}
+
+
+def measure_update(options: argparse.Namespace, preset: str, updates: int, repeats: int) -> None:
+    """An update of ours, of PyTorch's, and of PyTorch's with bf16 matmuls."""
+    config = preset_config(FAMILY, preset)
+    program = train.make_program(config)
+    state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
+    ours = update_run(program, state, updates)
+    ours()
+    settings = torch_settings(config, program, updates)
+    figures: dict[str, list[float]] = {"ours_ms": [], "torch_ms": [], "torch_bf16_ms": []}
+    version = ""
+    for _ in range(repeats):
+        began = time.perf_counter()
+        ours()
+        figures["ours_ms"].append(1e3 * (time.perf_counter() - began) / updates)
+        for name, bf16 in (("torch_ms", False), ("torch_bf16_ms", True)):
+            answer = ask("peer_torch.py", {**settings, "bf16": bf16})
+            figures[name].append(answer["ms"])
+            version = answer["version"]
+    row: dict[str, Any] = {"what": "update", "preset": preset, "peer": f"torch {version}", "repeats": repeats}
+    for name, values in figures.items():
+        row.update(common.spread(name, values))
+    row.update(common.spread("ratio_to_torch", common.ratios(figures["ours_ms"], figures["torch_ms"])))
+    common.write_row(options, "peers", row)
+
+
+def sac_config(envs: int, updates: int) -> Config:
+    """One task, the networks SBX has by default: two layers of 256 without LayerNorm, batches of 256."""
+    base = preset_config(FAMILY, "fast")
+    return dataclasses.replace(
+        base,
+        tasks=("1",),
+        network=dataclasses.replace(base.network, critic_layer_norm=False, standardise_obs=False),
+        sac=dataclasses.replace(base.sac, batch_size=256, updates=updates),
+        collect=dataclasses.replace(base.collect, envs=envs, steps=updates // envs),
+    )
+
+
+def measure_sac(options: argparse.Namespace, steps: int, repeats: int) -> None:
+    """Environment steps a second with one update each, collection and updates together."""
+    envs = 8
+    config = sac_config(envs, steps)
+    program = train.make_program(config)
+    state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
+    epoch = jax.jit(
+        jax.vmap(lambda state: train.train_epoch(program, state)[0]), compiler_options=runtime.compiler_options()
+    )
+    jax.block_until_ready(epoch(state))
+    network = config.network
+    asked = {"envs": envs, "width": network.width, "layers": network.critic_layers, "batch_size": 256, "steps": steps}
+    ours, theirs, version = [], [], ""
+    for _ in range(repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(epoch(state))
+        ours.append(steps / (time.perf_counter() - began))
+        answer = ask("peer_sbx.py", asked)
+        theirs.append(answer["steps_per_second"])
+        version = answer["version"]
+    row = {
+        "what": "sac",
+        "peer": f"sbx {version}",
+        **asked,
+        "repeats": repeats,
+        **common.spread("ours_steps_per_second", ours),
+        **common.spread("sbx_steps_per_second", theirs),
+        **common.spread("times_faster", common.ratios(ours, theirs)),
+    }
+    common.write_row(options, "peers", row)
+
+
+def main() -> None:
+    options = common.arguments(__doc__)
+    for preset in ("fast", "paper"):
+        measure_update(options, preset, *((2, 1) if options.quick else (40, 5)))
+    measure_sac(options, *((400, 1) if options.quick else (4000, 5)))
+
+
+if __name__ == "__main__":
+    main()

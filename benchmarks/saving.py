@@ -1,0 +1,52 @@
+"""Time of one checkpoint of a `fast` run whose replay is full, beside the training between two checkpoints."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import jax
+
+from benchmarks import common
+from benchmarks.update import filled
+from ear_jax import checkpoint, runtime, train
+from ear_jax.config import preset_config
+
+
+def measure(options: argparse.Namespace, repeats: int) -> None:
+    config = preset_config("halfcheetah-vel", "fast")
+    program = train.make_program(config)
+    state = jax.block_until_ready(jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config)))
+    compiled = partial(jax.jit, compiler_options=runtime.compiler_options())
+    epoch = compiled(jax.vmap(lambda state: train.train_epoch(program, state)[0]))
+    epochs = config.log.epochs * config.checkpoint.blocks
+    with tempfile.TemporaryDirectory() as scratch:
+        directory = Path(scratch)
+        contenders = {
+            "save": lambda: checkpoint.save(directory, config.epochs, state, {}),
+            "epoch": lambda: jax.block_until_ready(epoch(state)),
+        }
+        timings = common.alternate(contenders, repeats)
+        size = sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())
+    between = [epochs * seconds for seconds in timings["epoch"].seconds]
+    row = {
+        "preset": config.preset,
+        "megabytes": round(size / 1e6, 1),
+        "epochs_between": epochs,
+        "repeats": repeats,
+        **common.spread("save_seconds", timings["save"].seconds),
+        **common.spread("seconds_between", between),
+        **common.spread("share", common.ratios(timings["save"].seconds, between)),
+    }
+    common.write_row(options, "saving", row)
+
+
+def main() -> None:
+    options = common.arguments(__doc__)
+    measure(options, 1 if options.quick else 5)
+
+
+if __name__ == "__main__":
+    main()
