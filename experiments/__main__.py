@@ -1,4 +1,4 @@
-"""`python -m experiments`: lists the paper's tables and figures with what is there of each; runs what is missing."""
+"""`python -m experiments`: lists the paper's tables and figures, runs what is missing of each, reports them all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from ear_jax.stopping import Stopped
 from ear_jax.terminal import say
 from experiments.inventory import is_trained, jobs, missing
 from experiments.paper import EXPERIMENTS
-from experiments.reproduce import absent, make_whole, plan, possible
 
 PROGRAM = "python -m experiments"
 
@@ -47,6 +46,8 @@ class ReproduceCommand:
 
 
 def list_all(words: list[str]) -> None:
+    from experiments.reproduce import absent  # imports JAX, which the report has to do without
+
     command = parse(ListCommand, words, "list", program=PROGRAM)
     check_seeds(command.seeds)
     table = Table()
@@ -67,6 +68,8 @@ def list_all(words: list[str]) -> None:
 
 
 def reproduce(words: list[str]) -> None:
+    from experiments.reproduce import absent, make_whole, plan, possible
+
     command = parse(ReproduceCommand, words, "reproduce", program=PROGRAM)
     check_seeds(command.seeds)
     if command.id not in EXPERIMENTS:
@@ -89,7 +92,13 @@ def check_seeds(seeds: int | None) -> None:
         raise UsageError(f"--seeds {seeds} is too small; it must be at least 1")
 
 
-COMMANDS = {"list": list_all, "reproduce": reproduce}
+def report(words: list[str]) -> None:
+    from experiments.report import command  # imports matplotlib, which the others do without
+
+    command.report(words)
+
+
+COMMANDS = {"list": list_all, "reproduce": reproduce, "report": report}
 
 
 def main(arguments: list[str] | None = None) -> int:

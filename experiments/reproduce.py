@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 from types import FrameType
 
 from ear_jax import records
@@ -18,21 +17,8 @@ from ear_jax.cli.main import COMMANDS
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError
 from ear_jax.stopping import Stopped
+from experiments.commands import RUNS, analysis_words, train_words
 from experiments.inventory import Job, is_whole, missing
-from experiments.paper import Analysis
-
-RUNS = Path("runs")
-
-
-def train_words(job: Job) -> list[str]:
-    """The `ear` command that trains a job, or continues it, or finds it finished."""
-    config = job.config
-    words = ["train", config.family, "--agent", config.agent, "--preset", config.preset, "--seed", str(config.seed)]
-    return words if config.minutes is None else [*words, "--minutes", f"{config.minutes:g}"]
-
-
-def analysis_words(job: Job, analysis: Analysis) -> list[str]:
-    return [analysis.command, str(RUNS / job.name), *analysis.options, "--json"]
 
 
 def absent(job: Job) -> list[str]:

@@ -1,0 +1,125 @@
+"""Where we agree with the paper, where not, and why, in words; every number comes from records or `paper.json`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from experiments.paper import CHEETAH, FAMILIES
+from experiments.report.blocks import Points, Section
+from experiments.report.found import Found, Run
+from experiments.report.measures import mean_return, paper_budget, paper_counts, paper_return, successes, task_returns
+from experiments.report.words import NAMES, number, printed, seeds, spread
+
+Verdict = tuple[bool, str]  # whether we agree, and what is compared
+MEASURES = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
+
+WHY = (
+    "LTE noise: the paper adds noise to the task embedding; the released code computes it and never uses it. We do.",
+    "OHE-SAC: in the authors' code the replay holds zeros in place of the one-hot, so the paper's row is that of a "
+    "policy that does not know its task. Ours sees its one-hot; `onehot-blind` is trained with zeros for comparison.",
+    "Ant-Dir: the paper's text has a penalty on lateral speed of weight 1; the released code has 0, and so have we.",
+    "Run-Jump: the paper's jump is the height of the hind foot, running backward; the code has the torso, forward. "
+    "We follow the paper.",
+    "MHMT-SAC: the authors' code ignores terminations for this agent alone; here they end the value, as for all.",
+    "The task encoder is one linear layer, as the paper says; the code has a hidden layer.",
+    "Reached, midway: the paper does not say how near is near enough; we take 5 % of the distance between the tasks.",
+)
+
+
+def comparison(found: Found) -> Section:
+    """The section; it says of each family without runs that there is nothing to compare yet."""
+    told = [verdict for family in FAMILIES for verdict in _verdicts(found, family)]
+    agree, differ = ([words for agrees, words in told if agrees is wanted] for wanted in (True, False))
+    without = [NAMES[family] for family in FAMILIES if not found.runs(family)]
+    return Section(
+        "comparison",
+        "Where we agree with the paper, where not, and why",
+        [
+            "We call it agreement where our mean return is no worse than the paper's mean less its standard deviation, "
+            "and where our share of pairs is no smaller than the paper's.",
+            "Agreement:",
+            Points(agree or ["nothing yet"]),
+            "No agreement:",
+            Points(differ or ["nothing yet"]),
+            *([f"Nothing to compare yet: {', '.join(without)}."] if without else []),
+            "Why:",
+            Points([*_budgets(found), *_cheetah(found), *_blind(found), *WHY]),
+        ],
+    )
+
+
+def _verdicts(found: Found, family: str) -> Iterator[Verdict]:
+    runs, paper = found.runs(family), paper_return(family, "ear")
+    if not runs or not paper:
+        return
+    returns = [mean_return(run) for run in runs]
+    enough = bool(np.mean(returns) >= paper["mean"] - paper["std"])
+    yield enough, f"{NAMES[family]}, return: {spread(returns)} ({seeds(runs)}); the paper {printed(paper)}."
+    for what, words in MEASURES.items():
+        counted, theirs = successes(runs, what), paper_counts(family, what)
+        if counted:
+            as_often = counted[0] * theirs["total"] >= theirs["success"] * counted[1]
+            said = f"{counted[0]} of {counted[1]} pairs ({seeds(runs)}); the paper {printed(theirs)}."
+            yield as_often, f"{NAMES[family]}, {words}: {said}"
+
+
+def _budgets(found: Found) -> Iterator[str]:
+    """How much less than the paper's our runs trained."""
+    shares = []
+    for family in FAMILIES:
+        runs = found.runs(family)
+        if runs:
+            steps, updates = paper_budget(family)
+            part_of_steps = np.mean([run.last["env_steps"] for run in runs]) / steps
+            part_of_updates = np.mean([run.last["updates"] for run in runs]) / updates
+            shares.append(
+                f"{NAMES[family]} {part_of_steps:.1%} of the env steps and {part_of_updates:.1%} of the updates"
+            )
+    if shares:
+        recipe = "" if found.preset == "paper" else f"`{found.preset}` is another recipe than the paper's. "
+        yield f"{recipe}Of what the paper trained, ours had: {'; '.join(shares)}."
+
+
+def _cheetah(found: Found) -> Iterator[str]:
+    """What starting up costs the cheetah, and its two hardest tasks."""
+    runs = found.runs(CHEETAH)
+    if not runs:
+        return
+    lost = [loss for run in runs if (loss := _start_up_loss(run)) is not None]
+    if lost:
+        yield (
+            "The cheetah starts at rest and the floor's friction bounds how fast it speeds up: about "
+            f"{number(float(np.mean(lost)), 0)} of our return is what the first half of episodes scores below the "
+            "second. No policy avoids all of that, and the paper's does not either."
+        )
+    tasks = {name: np.mean([task_returns(run)[name] for run in runs]) for name in task_returns(runs[0])}
+    worst = sorted(tasks, key=lambda name: tasks[name])[:2]
+    share = sum(tasks[name] for name in worst) / len(tasks)
+    yield (
+        f"Of our mean return on HalfCheetah-Vel, {number(np.mean(list(tasks.values())))}, the two lowest tasks, "
+        f"{worst[0]} and {worst[1]}, make {number(float(share))}."
+    )
+
+
+def _start_up_loss(run: Run) -> float | None:
+    """Return less that of an episode whose halves are both as its second one, the mean over tasks; about, as the
+    second half's mean speed stands for each of its steps. None without an evaluation."""
+    losses = []
+    for one in run.of_seed("evaluation", "seeds"):
+        for task in one["tasks"]:
+            outcome, steps = task["outcome"], np.mean(task["episodes"]["length"])
+            settled = -abs(outcome["velocity"] - task["target"]) - 0.1 * outcome["squared_action"]
+            losses.append(task["return_mean"] - steps * settled)
+    return float(np.mean(losses)) if losses else None
+
+
+def _blind(found: Found) -> Iterator[str]:
+    """What a zeroed one-hot reaches beside the paper's row."""
+    for family in FAMILIES:
+        runs, paper = found.runs(family, "onehot-blind"), paper_return(family, "onehot")
+        if runs and paper:
+            ours = spread([mean_return(run) for run in runs])
+            theirs = f"the paper's OHE-SAC {printed(paper)}"
+            yield f"{NAMES[family]}: with the one-hot zeroed {ours} ({seeds(runs)}); {theirs}."

@@ -1,0 +1,112 @@
+"""The paper's curves of training and of adaptation, drawn from our runs. Nothing is told by colour alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter
+
+from ear_jax.report.figures import COLOURS, STYLE
+from experiments.report.found import Run
+
+LINES = ("-", "--", "-.", ":")
+MARKERS = "os^Dvx"
+Lines = dict[str, list[Run]]  # runs by the label of their line
+PANEL = (4.3, 3.0)  # inches
+
+
+def look(index: int) -> dict[str, Any]:
+    """Colour, line and marker of the line of an index, unlike all others' up to twelve."""
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": LINES[(index + index // len(COLOURS)) % len(LINES)],
+        "marker": MARKERS[index % len(MARKERS)],
+    }
+
+
+def draw_panels(path: Path, panels: Sequence[Callable[[Axes], None]]) -> Path:
+    """Draws panels beside one another, at most two in a row."""
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    with plt.rc_context(STYLE):
+        size = (PANEL[0] * columns, PANEL[1] * rows)
+        figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+        for axes, draw in zip(grid.flat, panels, strict=False):
+            draw(axes)
+        for axes in grid.flat[len(panels) :]:
+            axes.set_axis_off()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path)
+        plt.close(figure)
+    return path
+
+
+def training_curves(axes: Axes, title: str, lines: Lines, reference: tuple[str, float] | None = None) -> None:
+    """Return, mean over tasks, against env steps: a line a method, the mean over seeds amid its standard deviation.
+
+    Args:
+      axes: where.
+      title: what of.
+      lines: the runs of each line.
+      reference: a level to compare with, and its label.
+    """
+    for index, (label, runs) in enumerate(lines.items()):
+        _curve(axes, index, f"{label}, {len(runs)} seed{'s'[: len(runs) > 1]}", [_steps(run) for run in runs])
+    if reference:
+        axes.axhline(reference[1], color="0.35", linestyle=(0, (1, 2)), linewidth=1.2, label=reference[0])
+    _finish(axes, title)
+
+
+def task_curves(axes: Axes, title: str, run: Run) -> None:
+    """Each training task's return against env steps in one run."""
+    for index, task in enumerate(run.last["returns"]):
+        _curve(axes, index, task, [{row["env_steps"]: row["returns"][task] for row in run.rows}])
+    _finish(axes, title, columns=2)
+
+
+def _steps(run: Run) -> dict[int, float]:
+    return {row["env_steps"]: row["mean_return"] for row in run.rows}
+
+
+def _curve(axes: Axes, index: int, label: str, curves: Sequence[dict[int, float]]) -> None:
+    """The mean of curves where all of them have a value, and their sample standard deviation."""
+    shared = sorted(set.intersection(*map(set, curves)))
+    values = np.array([[curve[step] for step in shared] for curve in curves])  # [seeds, steps]
+    every = max(1, len(shared) // 8)
+    axes.plot(shared, values.mean(0), **look(index), markersize=4, markevery=every, linewidth=1.4, label=label)
+    if len(curves) > 1:
+        middle, width = values.mean(0), values.std(0, ddof=1)
+        axes.fill_between(shared, middle - width, middle + width, color=look(index)["color"], alpha=0.15, linewidth=0)
+
+
+def _finish(axes: Axes, title: str, columns: int = 1) -> None:
+    axes.set(xlim=(0, None), xlabel="env steps, all tasks together", ylabel="return of an episode", title=title)
+    axes.xaxis.set_major_formatter(FuncFormatter(_short))
+    axes.legend(fontsize=7, ncols=columns, framealpha=0.85, edgecolor="none")
+
+
+def _short(steps: float, _: int) -> str:
+    """Env steps on an axis, as in 400k and 1.2M."""
+    return f"{steps / 1e6:g}M" if steps >= 1e6 else f"{steps / 1e3:g}k"
+
+
+def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
+    """Return on unseen tasks, their mean, against epochs of search: the best of an epoch, and it judged again."""
+    for index, (label, runs) in enumerate(lines.items()):
+        style = look(index)
+        searched = [task for run in runs for task in run.of_seed("adaptation", "tasks") if task["epochs"]]
+        epochs = min(len(task["epochs"]) for task in searched)
+        for name, what, line in (("reevaluated", "judged again", "-"), ("best_of_epoch", "best candidate", "--")):
+            mean = np.mean([[epoch[name] for epoch in task["epochs"][:epochs]] for task in searched], axis=0)
+            look_of = {**style, "linestyle": line, "fillstyle": "full" if line == "-" else "none"}
+            axes.plot(np.arange(1, len(mean) + 1), mean, **look_of, markersize=4, label=f"{label}: {what}")
+        answers = [task["zero_shot"]["reevaluated"] for task in searched if task.get("zero_shot")]
+        if len(answers) == len(searched):
+            axes.plot(0, np.mean(answers), "*", color=style["color"], markersize=9, label=f"{label}: from a map")
+    axes.set(xlabel="epochs of search (0: none)", ylabel="return, mean over unseen tasks", title=title)
+    axes.legend(fontsize=7, framealpha=0.85, edgecolor="none")

@@ -1,0 +1,140 @@
+"""The runs that are recorded, by method; what each reached, and under what settings."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from ear_jax import records
+from ear_jax.config import Config, flat, preset_config
+from ear_jax.errors import RunError
+from experiments import inventory
+from experiments.commands import analysis_words, train_words
+from experiments.inventory import BUDGET, Job
+from experiments.paper import Analysis, Experiment, Method
+
+Key = tuple[str, str, str]  # family, agent, preset with its ablations
+
+
+@dataclass(frozen=True)
+class Run:
+    """One seed of a recorded run."""
+
+    name: str  # of its directory among the records
+    seed: int
+    made: dict[str, Any]  # its config.json
+    rows: list[dict[str, Any]]  # its metrics, a row a block
+
+    @property
+    def last(self) -> dict[str, Any]:
+        return self.rows[-1]
+
+    @property
+    def config(self) -> Config:
+        """What its preset is today, with this run's seed and minutes."""
+        made = self.made["config"]
+        config = preset_config(made["family"], made["preset"], made["agent"])
+        return dataclasses.replace(config, seed=made["seed"], minutes=made.get("minutes"))
+
+    @property
+    def command(self) -> str:
+        return shlex.join(["ear", *train_words(Job(self.config, ()))])
+
+    @cached_property
+    def changes(self) -> dict[str, Any]:
+        """Settings that its preset has otherwise today, as this run had them; not what only bounds or watches a run."""
+        return {
+            name: value
+            for name, value in _settings(self.made["config"]).items()
+            if name.split(".")[0] not in BUDGET and value != flat(self.config)[name]
+        }
+
+    def document(self, name: str) -> dict[str, Any] | None:
+        """An analysis of the run; None where there is none.
+
+        Raises:
+          RunError: it is there and is no JSON document.
+        """
+        path = inventory.RECORDS / self.name / f"{name}.json"
+        if not path.is_file():
+            return None
+        return _read(path)
+
+    def of_seed(self, name: str, key: str) -> list[dict[str, Any]]:
+        """What an analysis says of this seed under a key; empty where there is none."""
+        return [one for one in (self.document(name) or {}).get(key, []) if one["seed"] == self.seed]
+
+    def made_by(self, analysis: Analysis) -> str:
+        """The command that made an analysis: as recorded, or as it is today."""
+        recorded = (self.document(analysis.name) or {}).get("command")
+        return recorded or shlex.join(["ear", *analysis_words(Job(self.config, ()), analysis)])
+
+
+class Found:
+    """All recorded runs of a preset and its ablations."""
+
+    def __init__(self, preset: str):
+        self.preset = preset
+        self._runs: dict[Key, dict[int, Run]] = {}
+        for run in _all_runs():
+            made = run.made["config"]
+            if made["preset"].split("+")[0] != preset.split("+")[0] or _other_tasks(run):
+                continue
+            seeds = self._runs.setdefault((made["family"], made["agent"], made["preset"]), {})
+            if run.seed not in seeds or seeds[run.seed].last["updates"] < run.last["updates"]:
+                seeds[run.seed] = run
+
+    def runs(self, family: str, agent: str = "ear", ablation: str = "") -> list[Run]:
+        """A method's runs in the order of their seeds; of two of one seed, the one with more updates."""
+        seeds = self._runs.get((family, agent, self.preset + ablation), {})
+        return [seeds[seed] for seed in sorted(seeds)]
+
+    def of(self, method: Method) -> list[Run]:
+        return self.runs(method.family, method.agent, method.ablation)
+
+    def behind(self, experiment: Experiment) -> list[Run]:
+        """Every run that an experiment can use."""
+        return [run for method in experiment.methods for run in self.of(method)]
+
+    def all(self) -> list[Run]:
+        return [run for key in sorted(self._runs) for _, run in sorted(self._runs[key].items())]
+
+
+def _all_runs() -> list[Run]:
+    """Each seed of each record that has settings and at least one row."""
+    found = []
+    for path in sorted(inventory.RECORDS.glob("*/config.json")):
+        made, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
+        for seed in sorted({row["seed"] for row in rows}):
+            found.append(Run(path.parent.name, seed, made, [row for row in rows if row["seed"] == seed]))
+    return found
+
+
+def _other_tasks(run: Run) -> bool:
+    """Whether a run was scored otherwise than its preset's: other tasks, or another reward."""
+    return any(name == "tasks" or name.startswith("env.") for name in run.changes)
+
+
+def _settings(tree: dict[str, Any]) -> dict[str, Any]:
+    """Recorded settings by their flat names; what is absent had its default, and what is no more is left out."""
+    known = flat(Config(family=""))
+
+    def walk(tree: dict[str, Any], where: str) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, value in tree.items():
+            found |= walk(value, f"{where}{name}.") if isinstance(value, dict) else {where + name: value}
+        return found
+
+    given = {name: tuple(value) if isinstance(value, list) else value for name, value in walk(tree, "").items()}
+    return {name: given.get(name, default) for name, default in known.items()}
+
+
+def _read(path: Any) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise RunError(f"{path} cannot be read: {error}") from None

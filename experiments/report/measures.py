@@ -1,0 +1,86 @@
+"""Numbers taken from runs and their analyses, and from the paper's tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.paper import ANT, numbers
+from experiments.report.found import Run
+from experiments.report.words import NAMES
+
+
+def task_returns(run: Run) -> dict[str, float]:
+    """Mean return of each training task: of the run's evaluation, or of the last one during training."""
+    for one in run.of_seed("evaluation", "seeds"):
+        return {task["name"]: task["return_mean"] for task in one["tasks"]}
+    return run.last["returns"]
+
+
+def mean_return(run: Run) -> float:
+    """The mean over training tasks: what the paper's table 1 compares."""
+    return float(np.mean(list(task_returns(run).values())))
+
+
+def score_table(runs: Sequence[Run]) -> np.ndarray:
+    """Returns [seeds, tasks]."""
+    return np.array([list(task_returns(run).values()) for run in runs])
+
+
+def successes(runs: Sequence[Run], what: str) -> tuple[int, int] | None:
+    """How many pairs of neighbours succeed at `mid_task` or `one_to_one`, of how many, all seeds together."""
+    pairs = [pair for run in runs for pair in run.of_seed("interpolation", "pairs")]
+    return (sum(pair[what] for pair in pairs), len(pairs)) if pairs else None
+
+
+def failed_tasks(runs: Sequence[Run]) -> tuple[int, int] | None:
+    """How many tasks had an episode that ended early, of how many, all seeds together."""
+    tasks = [task for run in runs for one in run.of_seed("evaluation", "seeds") for task in one["tasks"]]
+    tasks = [task for task in tasks if "failures" in task]
+    return (sum(task["failures"] > 0 for task in tasks), len(tasks)) if tasks else None
+
+
+def difference(family: str, one: Any, other: Any) -> Any:
+    """one − other; of directions the short way round, in degrees."""
+    apart = np.asarray(one, float) - np.asarray(other, float)
+    return (apart + 180) % 360 - 180 if family == ANT else apart
+
+
+def unit(family: str) -> str:
+    return "°" if family == ANT else "m/s"
+
+
+def paper_return(family: str, agent: str) -> dict[str, float] | None:
+    """Mean and standard deviation of a method in table 1; None where the paper has none."""
+    table = numbers()["table-1"]
+    if family not in table["columns"]:
+        return None
+    rows = {row[0]: row for row in table["panels"][""]}
+    row = rows.get(NAMES[agent])
+    return row[table["columns"].index(family)] if row else None
+
+
+def paper_counts(family: str, what: str) -> dict[str, int]:
+    """Success of interpolation in table 5, `mid_task` or `one_to_one`."""
+    table = numbers()["table-5"]
+    row = table["panels"][""][("mid_task", "one_to_one").index(what)]
+    return row[table["columns"].index(family)]
+
+
+def paper_setting(table: str, row: str, family: str) -> Any:
+    """A row of the paper's tables of settings, 2 or 3, for a family."""
+    data = numbers()[table]
+    place = next(place for place, column in enumerate(data["columns"]) if family in column.split(" and "))
+    return next(line[place] for line in data["panels"][""] if line[0] == row)
+
+
+def paper_budget(family: str) -> tuple[int, int]:
+    """Environment steps and updates of the paper's EAR-SAC, from its tables 2 and 3."""
+    tasks = int(paper_setting("table-3", "EAR-SAC", family).split()[0])
+    steps, pretrain, epochs, updates = (
+        paper_setting("table-2", row, family)
+        for row in ("max episode frames", "pretrain epochs", "training epochs", "optimization times")
+    )
+    return tasks * steps * (pretrain + epochs), epochs * updates

@@ -1,0 +1,143 @@
+"""Which of our runs each of the paper's figures shows, and the pictures of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ear_jax.report.gaits import draw_gaits
+from ear_jax.report.maps import draw_map
+from ear_jax.report.signals import draw_signals
+from experiments.paper import CHEETAH, COMPOSED, EXPERIMENTS, RUN_JUMP, Method
+from experiments.report.blocks import Block, Picture, Table
+from experiments.report.figures import Lines, adaptation_curves, draw_panels, task_curves, training_curves
+from experiments.report.found import Found, Run
+from experiments.report.measures import paper_return
+from experiments.report.words import NAMES, number
+
+ABLATIONS = {"": "", "+no-noise": " without LTE noise", "+no-norm": " without normalisation"}
+FOLDER = "figures"
+
+
+def _panels(id: str, found: Found, has: Callable[[Run], Any]) -> dict[str, Lines]:
+    """A figure's lines by family, of the runs that have what it shows; nothing without a run is there."""
+    panels: dict[str, Lines] = {}
+    for method in EXPERIMENTS[id].methods:
+        runs = [run for run in found.of(method) if has(run)]
+        if runs:
+            panels.setdefault(method.family, {})[_label(method)] = runs
+    return panels
+
+
+def _label(method: Method) -> str:
+    return NAMES[method.agent] + ABLATIONS[method.ablation]
+
+
+def training(id: str, found: Found, out: Path) -> list[Block]:
+    """Figures 2, 8, 10, 12 and 13."""
+    panels = _panels(id, found, lambda run: run.rows)
+    if not panels:
+        return []
+    draws = []
+    for family, lines in panels.items():
+        paper = paper_return(family, "ear")
+        reference = ("paper's EAR-SAC at its end", paper["mean"]) if paper else None
+        draws.append(partial(training_curves, title=NAMES[family], lines=lines, reference=reference))
+    draw_panels(out / FOLDER / f"{id}.png", draws)
+    caption = (
+        "Return, mean over training tasks, in evaluations during training; the dotted line is the paper's table 1. "
+        "With several seeds: their mean amid the standard deviation."
+    )
+    return [Picture(f"{FOLDER}/{id}.png", caption)]
+
+
+def adaptation(id: str, found: Found, out: Path) -> list[Block]:
+    """Figures 5, 11 and 14."""
+    panels = _panels(id, found, lambda run: any(task["epochs"] for task in run.of_seed("adaptation", "tasks")))
+    if not panels:
+        return []
+    draws = [partial(adaptation_curves, title=NAMES[family], lines=lines) for family, lines in panels.items()]
+    draw_panels(out / FOLDER / f"{id}.png", draws)
+    caption = (
+        "Adaptation to unseen tasks by the cross-entropy method. The paper shows the best candidate of an epoch, one "
+        "noisy episode each; solid: the same code on fresh episodes; star: a code taken from a map, without search."
+    )
+    return [Picture(f"{FOLDER}/{id}.png", caption), *_answers(panels)]
+
+
+def _answers(panels: dict[str, Lines]) -> list[Block]:
+    """What codes taken from a map achieve on unseen tasks, a row a task."""
+    rows = [
+        [f"{NAMES[family]}, {label}, seed {run.seed}", *_answer(task)]
+        for family, lines in panels.items()
+        for label, runs in lines.items()
+        for run in runs
+        for task in run.of_seed("adaptation", "tasks")
+        if task["target"] is not None and task.get("zero_shot")
+    ]
+    columns = ("run", "target", "achieved", "error", "return", "return after 3 epochs of search")
+    return [Table("Unseen tasks answered from a map without search (m/s or °).", columns, rows)] if rows else []
+
+
+def _answer(task: dict[str, Any]) -> list[str]:
+    answer, epochs = task["zero_shot"], task["epochs"]
+    third = number(epochs[min(2, len(epochs) - 1)]["reevaluated"])
+    values = (task["target"], answer["achieved"], answer["error"])
+    return [*(number(value, 2) for value in values), number(answer["reevaluated"]), third]
+
+
+def each_task(id: str, found: Found, out: Path) -> list[Block]:
+    """Figure 9."""
+    blocks: list[Block] = []
+    for run in found.runs(CHEETAH):
+        file = f"{FOLDER}/{id}-seed{run.seed}.png"
+        draw_panels(out / file, [partial(task_curves, title=f"{NAMES[CHEETAH]}, seed {run.seed}", run=run)])
+        blocks.append(Picture(file, f"Return of each commanded speed during training, seed {run.seed}."))
+    return blocks
+
+
+def _drawn(runs: list[Run], name: str, caption: str, draw: Callable[[Path, Any], list[Path]], out: Path) -> list[Block]:
+    """Pictures of an analysis of each run, by the function that the `ear` command draws them with."""
+    blocks: list[Block] = []
+    for run in runs:
+        document = run.document(name)
+        if document:
+            (out / FOLDER).mkdir(parents=True, exist_ok=True)
+            mine = {**document, "seeds": run.of_seed(name, "seeds")}
+            files = draw(out / FOLDER, mine)
+            blocks += [Picture(f"{FOLDER}/{path.name}", f"{caption}, seed {run.seed}.") for path in files]
+    return blocks
+
+
+def stills(id: str, found: Found, out: Path) -> list[Block]:
+    """Figure 3: what was seen; the strips themselves are no part of a record."""
+    rows = []
+    for run in found.runs(CHEETAH):
+        document = run.document("stills")
+        for scene in document["scenes"] if document else ():
+            rows.append([scene["name"], number(scene["outcome"], 2), str(scene["steps"]), f"seed {run.seed}"])
+    if not rows:
+        return []
+    caption = "Scenes of the strip that `ear render RUN --interpolate 1 2` draws; pictures are not kept with a record."
+    return [Table(caption, ("scene", "velocity (m/s)", "steps", "run"), rows)]
+
+
+def composed(id: str, found: Found, out: Path) -> list[Block]:
+    """Figure 4."""
+    caption = "Outcomes along β, means over the second half of the roll-out, and which feet are down"
+    runs = found.runs(RUN_JUMP)
+    return [block for one in COMPOSED for block in _drawn(runs, one.name, caption, draw_gaits, out)]
+
+
+def sensory(id: str, found: Found, out: Path) -> list[Block]:
+    """Figure 6."""
+    caption = "Raw state and latent state embedding along a gait in their main directions, and their autocorrelations"
+    return _drawn(found.runs(CHEETAH), "lse", caption, draw_signals, out)
+
+
+def sphere(id: str, found: Found, out: Path) -> list[Block]:
+    """Figure 7."""
+    caption = "The sphere of LTEs, coloured by the speed each place gives (m/s); circles: training tasks"
+    return _drawn(found.runs(CHEETAH), "map", caption, draw_map, out)

@@ -1,0 +1,95 @@
+"""README's table of results, made from the records, between two markers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ear_jax.errors import RunError
+from experiments.paper import ADAPTATION, FAMILIES, INTERPOLATION, Analysis
+from experiments.report.blocks import Table
+from experiments.report.found import Found, Run
+from experiments.report.markdown import table
+from experiments.report.measures import mean_return, paper_counts, paper_return, successes, unit
+from experiments.report.words import MISSING, NAMES, count, number, printed, seeds, span, spread
+
+README = Path(__file__).parents[2] / "README.md"
+BEGIN, END = "<!-- results -->", "<!-- /results -->"
+SUCCESS = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
+
+
+def rewrite(found: Found) -> None:
+    """Puts the results into README.
+
+    Raises:
+      RunError: README has not the two markers, or cannot be written.
+    """
+    text = README.read_text()
+    before, opening, rest = text.partition(BEGIN)
+    _, closing, after = rest.partition(END)
+    if not (opening and closing):
+        raise RunError(f"{README} has no place for the results, between {BEGIN} and {END}")
+    try:
+        README.write_text(f"{before}{BEGIN}\n{results(found)}{END}{after}")
+    except OSError as error:
+        raise RunError(f"cannot write {README}: {error.strerror}") from None
+
+
+def results(found: Found) -> str:
+    """What stands between the markers: EAR's returns, interpolation and adaptation, and notes on the runs."""
+    rows = [row for family in FAMILIES for row in _family(family, found.runs(family))]
+    notes = [note for family in FAMILIES for run in found.runs(family) for note in _notes(run)]
+    parts = [table(Table("", ("what", "command", "here", "the paper"), rows)), *notes]
+    return "\n" + "\n\n".join(parts) + "\n\n"
+
+
+def _family(family: str, runs: list[Run]) -> list[list[str]]:
+    if not runs:
+        return []
+    paper = paper_return(family, "ear")
+    spent = (
+        f"{seeds(runs)}, {span([run.last['updates'] for run in runs], count)} updates, "
+        f"{span([run.last['env_steps'] for run in runs], count)} env steps, "
+        f"{span([run.last['seconds'] / 60 for run in runs], lambda minutes: number(minutes, 0))} min"
+    )
+    reached = f"{spread([mean_return(run) for run in runs])} ({spent})"
+    theirs = printed(paper) if paper else MISSING
+    rows = [[f"{NAMES[family]}, return", f"`{_any_seed(runs)}`", reached, theirs]]
+    for what, words in SUCCESS.items():
+        counted = successes(runs, what)
+        if counted:
+            pairs = f"{counted[0]} of {counted[1]} pairs"
+            rows.append([f"… {words}", _on_run(INTERPOLATION), pairs, printed(paper_counts(family, what))])
+    return rows + _adapted(family, runs)
+
+
+def _any_seed(runs: list[Run]) -> str:
+    """The command of the first run, without its seed where that is the default."""
+    return runs[0].command.replace(" --agent ear", "").replace(" --preset fast", "").replace(" --seed 0", "")
+
+
+def _on_run(analysis: Analysis) -> str:
+    return f"`{' '.join(['ear', analysis.command, 'RUN', *analysis.options])}`"
+
+
+def _adapted(family: str, runs: list[Run]) -> list[list[str]]:
+    tasks = [task for run in runs for task in run.of_seed(ADAPTATION.name, "tasks")]
+    searched = [task["epochs"][2]["reevaluated"] for task in tasks if len(task["epochs"]) > 2]
+    errors = [task["zero_shot"]["error"] for task in tasks if task.get("zero_shot")]
+    rows = []
+    if searched:
+        value = f"{number(float(np.mean(searched)))} on {len(searched)} unseen tasks"
+        rows.append(["… return after 3 epochs of search", _on_run(ADAPTATION), value, "no number; converged by then"])
+    if errors:
+        value = f"{' and '.join(', '.join(number(error, 2) for error in errors).rsplit(', ', 1))} {unit(family)}"
+        rows.append(["… error on unseen tasks without search", _on_run(ADAPTATION), value, MISSING])
+    return rows
+
+
+def _notes(run: Run) -> list[str]:
+    """Of a run whose preset was another then."""
+    if not run.changes:
+        return []
+    settings = ", ".join(f"`{name}` {value}" for name, value in run.changes.items())
+    return [f"`{run.name}` was trained at commit {run.made['commit']}, when its preset still had {settings}."]

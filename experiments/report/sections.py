@@ -1,0 +1,124 @@
+"""A section for each of the paper's tables and figures, and one for the runs they are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from experiments.paper import (
+    ANT,
+    CHEETAH,
+    DIRECTIONS_BEYOND,
+    EXPERIMENTS,
+    HOPPER,
+    SPEEDS_BEYOND,
+    WALKER,
+    Experiment,
+)
+from experiments.report import blends, pictures, settings, tables
+from experiments.report.blocks import Block, Section, Table
+from experiments.report.found import Found, Run
+from experiments.report.words import MISSING, NAMES, NO_RUN, count, number
+
+BEYOND = {CHEETAH: SPEEDS_BEYOND, ANT: DIRECTIONS_BEYOND}
+FAMILIES = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
+TABLES: dict[str, Callable[[Found], list[Block]]] = {
+    "table-1": tables.returns,
+    "table-2": settings.hyperparameters,
+    "table-3": settings.training_tasks,
+    "table-4": blends.met,
+    "table-5": tables.interpolation_counts,
+    "table-6": partial(blends.beyond, BEYOND),
+    "table-7": tables.episode_ends,
+    "table-8": tables.failures,
+    "table-9": tables.normalisation,
+    "table-10": blends.composition,
+    **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(FAMILIES)},
+    **{
+        f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(FAMILIES)
+    },
+}
+FIGURES: dict[str, Callable[[str, Found, Path], list[Block]]] = {
+    **{f"figure-{number}": pictures.training for number in (2, 8, 10, 12, 13)},
+    **{f"figure-{number}": pictures.adaptation for number in (5, 11, 14)},
+    "figure-3": pictures.stills,
+    "figure-4": pictures.composed,
+    "figure-6": pictures.sensory,
+    "figure-7": pictures.sphere,
+    "figure-9": pictures.each_task,
+}
+
+
+def section(experiment: Experiment, found: Found, out: Path) -> Section:
+    """What there is of one table or figure; draws its pictures into `out`/figures."""
+    title = f"{experiment.id.replace('-', ' ').capitalize()}: {experiment.shows}"
+    if experiment.id in TABLES:
+        blocks = TABLES[experiment.id](found)
+    else:
+        blocks = FIGURES[experiment.id](experiment.id, found, out) or [f"{_lack(experiment, found)}."]
+    if not experiment.methods:
+        return Section(experiment.id, title, blocks)
+    runs = found.behind(experiment)
+    made = f"`python -m experiments reproduce {experiment.id} --preset {found.preset}` makes it."
+    blocks = [made, *blocks, _runs_behind(experiment, found)]
+    return Section(experiment.id, title, blocks, missing=not runs)
+
+
+def _lack(experiment: Experiment, found: Found) -> str:
+    return "—, not analysed yet" if found.behind(experiment) else NO_RUN
+
+
+def _runs_behind(experiment: Experiment, found: Found) -> Table:
+    """The commands behind an experiment, a row a run and analysis, and methods that have no run."""
+    rows = []
+    for method in experiment.methods:
+        runs = found.of(method)
+        for run in runs:
+            rows.append([run.name, run.command, *facts(run)])
+            for analysis in method.analyses:
+                document = run.document(analysis.name)
+                command = run.made_by(analysis) if document else "not made yet"
+                whence = (
+                    [document["commit"] or MISSING, document["machine"]["processor"]] if document else [MISSING] * 2
+                )
+                rows.append([f"{run.name}: {analysis.name}", command, *[MISSING] * 3, *whence])
+        if not runs:
+            name = f"{NAMES[method.family]}, {NAMES[method.agent]}{pictures.ABLATIONS[method.ablation]}"
+            rows.append([name, NO_RUN, *[MISSING] * 5])
+    rows = [[name, f"`{command}`" if command.startswith("ear ") else command, *rest] for name, command, *rest in rows]
+    columns = ("run", "command", "env steps", "updates", "minutes", "commit", "machine")
+    return Table("Runs and analyses behind it.", columns, rows, folded=True)
+
+
+def facts(run: Run) -> list[str]:
+    """Budget, commit and machine of a run."""
+    machine, last = run.made["machine"], run.last
+    cores = f"{machine['cores']} core{'s'[: machine['cores'] > 1]}"
+    spent = [count(last["env_steps"]), count(last["updates"]), number(last["seconds"] / 60)]
+    return [*spent, run.made["commit"] or MISSING, f"{machine['processor']}, {cores}"]
+
+
+def all_runs(found: Found) -> Section:
+    """Every run of the preset, with how far it went and what its settings were then."""
+    rows = [
+        [
+            run.name,
+            f"seed {run.seed}",
+            f"{count(run.last['epoch'])} of {count(run.config.epochs)}",
+            *facts(run),
+            ", ".join(f"{name} {value}" for name, value in run.changes.items()) or "none",
+        ]
+        for run in found.all()
+    ]
+    columns = ("run", "seed", "epochs", "env steps", "updates", "minutes", "commit", "machine", "other settings then")
+    caption = (
+        f"Recorded runs of `{found.preset}`. Epochs are of those its preset has today; other settings are those that "
+        "the preset has otherwise today."
+    )
+    blocks: list[Block] = [Table(caption, columns, rows)] if rows else [f"{NO_RUN}."]
+    return Section("runs", "Runs", blocks)
+
+
+def all_sections(found: Found, out: Path) -> list[Section]:
+    return [section(experiment, found, out) for experiment in EXPERIMENTS.values()]

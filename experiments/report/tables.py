@@ -1,0 +1,129 @@
+"""The paper's tables of returns, successes and failures beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from experiments.paper import ANT, EXPERIMENTS, FAMILIES, numbers
+from experiments.report.blocks import Block, Table
+from experiments.report.found import Found, Run
+from experiments.report.measures import (
+    failed_tasks,
+    mean_return,
+    paper_budget,
+    paper_counts,
+    paper_return,
+    score_table,
+    successes,
+)
+from experiments.report.words import MISSING, NAMES, NO_RUN, count, interval, number, printed, seeds, span, spread
+from experiments.statistics import interquartile_mean, probability_of_improvement
+
+NO_ANALYSIS = "—, not analysed yet"
+MEASURES = {"mid_task": "mid-task", "one_to_one": "1:1"}
+
+
+def returns(found: Found) -> list[Block]:
+    """Table 1, a table a family."""
+    agents = list(dict.fromkeys(method.agent for method in EXPERIMENTS["table-1"].methods))
+    return [_family_returns(found, family, agents) for family in FAMILIES]
+
+
+def _family_returns(found: Found, family: str, agents: list[str]) -> Table:
+    ear = found.runs(family)
+    rows = []
+    for agent in agents:
+        runs, paper = found.runs(family, agent), paper_return(family, agent)
+        cells = [NAMES[agent], printed(paper) if paper else MISSING]
+        if not runs:
+            rows.append([*cells, NO_RUN, *[MISSING] * 6])
+            continue
+        scores = score_table(runs)
+        better = MISSING
+        if agent != "ear" and ear:
+            better = interval(probability_of_improvement, score_table(ear), scores, digits=2)
+        rows.append(
+            [
+                *cells,
+                spread([mean_return(run) for run in runs]),
+                interval(interquartile_mean, scores),
+                better,
+                seeds(runs),
+                *budget(runs),
+            ]
+        )
+    steps, updates = paper_budget(family)
+    caption = (
+        f"{NAMES[family]}: return, mean over the training tasks. The paper: 3 seeds, for EAR-SAC {count(steps)} env "
+        f"steps and {count(updates)} updates."
+    )
+    heads = ("ours", "IQM [95 %]", "P(EAR better) [95 %]", "seeds", "env steps", "updates", "minutes")
+    return Table(caption, ("method", "paper", *heads), rows)
+
+
+def budget(runs: Sequence[Run]) -> list[str]:
+    """Environment steps, updates and minutes of a method's runs, each from the least to the most."""
+    return [
+        span([run.last["env_steps"] for run in runs], count),
+        span([run.last["updates"] for run in runs], count),
+        span([run.last["seconds"] / 60 for run in runs], number),
+    ]
+
+
+def interpolation_counts(found: Found) -> list[Block]:
+    """Table 5."""
+    rows = []
+    for family in FAMILIES:
+        runs = found.runs(family)
+        for what, name in MEASURES.items():
+            rows.append([NAMES[family], name, printed(paper_counts(family, what)), share(runs, successes(runs, what))])
+    caption = (
+        "Pairs of neighbouring tasks between which interpolation succeeds, all seeds together. Mid-task: some β "
+        "between 0.1 and 0.9 meets the value midway, to 5 % of the distance between the two. 1:1: at β = ½ the outcome "
+        "lies between them."
+    )
+    return [Table(caption, ("family", "measure", "paper", "ours"), rows)]
+
+
+def share(runs: Sequence[Run], counted: tuple[int, int] | None) -> str:
+    """How many of how many, and of how many seeds."""
+    if not runs:
+        return NO_RUN
+    return f"{counted[0]} of {counted[1]} ({seeds(runs)})" if counted else NO_ANALYSIS
+
+
+def episode_ends(found: Found) -> list[Block]:
+    """Table 7."""
+    paper = [printed(steps) for _, steps in numbers()["table-7"]["panels"][""]]
+    rows = [["paper", *paper]]
+    for run in found.runs(ANT, "ear", "+no-noise"):
+        for one in run.of_seed("evaluation", "seeds"):
+            worst = min(one["tasks"], key=lambda task: sum(task["episodes"]["length"]))
+            lengths = [count(length) for length in worst["episodes"]["length"]][: len(paper)]
+            rows.append([f"ours, seed {run.seed}, {worst['name']}", *lengths, *[MISSING] * (len(paper) - len(lengths))])
+    if len(rows) == 1:
+        rows.append(["ours", NO_RUN, *[MISSING] * (len(paper) - 1)])
+    caption = (
+        "Steps after which episodes of Ant-Dir end; the paper does not name its task, ours is that of the shortest."
+    )
+    return [Table(caption, ("trajectory", *map(str, range(1, len(paper) + 1))), rows)]
+
+
+def failures(found: Found) -> list[Block]:
+    """Table 8."""
+    rows = []
+    for (policy, paper), ablation in zip(numbers()["table-8"]["panels"][""], ("+no-noise", ""), strict=True):
+        runs = found.runs(ANT, "ear", ablation)
+        rows.append([policy, printed(paper), share(runs, failed_tasks(runs))])
+    return [Table("Tasks of Ant-Dir with an episode that ends early.", ("policy", "paper", "ours"), rows)]
+
+
+def normalisation(found: Found) -> list[Block]:
+    """Table 9."""
+    rows = []
+    for line, ablation in zip(numbers()["table-9"]["panels"][""], ("+no-norm", ""), strict=True):
+        runs = found.runs(ANT, "ear", ablation)
+        ours = [share(runs, successes(runs, what)) for what in MEASURES]
+        rows.append([line[0], printed(line[1]), ours[0], printed(line[2]), ours[1]])
+    columns = ("policy", "mid-task, paper", "mid-task, ours", "1:1, paper", "1:1, ours")
+    return [Table("Pairs of neighbouring tasks of Ant-Dir between which interpolation succeeds.", columns, rows)]

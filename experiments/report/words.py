@@ -1,0 +1,74 @@
+"""Numbers as text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from experiments.statistics import bootstrap_interval
+
+MISSING = "—"
+NO_RUN = "—, no run yet"
+NAMES = {
+    "halfcheetah-vel": "HalfCheetah-Vel",
+    "ant-dir": "Ant-Dir",
+    "hopper-vel": "Hopper-Vel",
+    "walker-vel": "Walker-Vel",
+    "halfcheetah-run-jump": "HalfCheetah-Run-Jump",
+    "reach": "Metaworld-Reach",
+    "ear": "EAR-SAC",
+    "ear-rnn": "EAR-SAC, recurrent",
+    "maml": "MAML",
+    "pearl": "PEARL",
+    "multihead": "MHMT-SAC",
+    "onehot": "OHE-SAC",
+    "onehot-blind": "OHE-SAC, one-hot zeroed",
+}
+
+
+def number(value: float, digits: int = 1) -> str:
+    """With a real minus, thousands apart, and no negative zero."""
+    return f"{value:z,.{digits}f}".replace("-", "−")
+
+
+def count(value: int) -> str:
+    return f"{value:,}"
+
+
+def seeds(runs: Sequence[Any]) -> str:
+    return "1 seed" if len(runs) == 1 else f"{len(runs)} seeds"
+
+
+def spread(values: Sequence[float], digits: int = 1) -> str:
+    """Mean ± sample standard deviation of one value a seed, or the one value."""
+    if len(values) == 1:
+        return number(values[0], digits)
+    return f"{number(float(np.mean(values)), digits)} ± {number(float(np.std(values, ddof=1)), digits)}"
+
+
+def printed(cell: Any) -> str:
+    """A cell of the paper's, as `paper.json` has it."""
+    if isinstance(cell, dict) and "mean" in cell:
+        return f"{number(cell['mean'])} ± {number(cell['std'], 2)}"
+    if isinstance(cell, dict):
+        done, total = cell.values()
+        return f"{done} of {total}"
+    if isinstance(cell, str):
+        return cell
+    return f"{cell:g}".replace("-", "−")
+
+
+def interval(statistic: Callable[..., np.ndarray], *scores: np.ndarray, digits: int = 1) -> str:
+    """A statistic of scores [seeds, tasks] with its 95 % interval; of a single seed there is none."""
+    if min(map(len, scores)) < 2:
+        return MISSING
+    low, high = bootstrap_interval(statistic, *scores)
+    return f"{number(float(statistic(*scores)), digits)} [{number(low, digits)}, {number(high, digits)}]"
+
+
+def span(values: Sequence[float], show: Callable[[Any], str]) -> str:
+    """One value, or the least and the most of several."""
+    low, high = min(values), max(values)
+    return show(low) if low == high else f"{show(low)} to {show(high)}"
