@@ -11,18 +11,23 @@ from experiments.paper import CHEETAH, COMPOSED, MET, RUN_JUMP, Analysis, number
 from experiments.report.blocks import Block, Table
 from experiments.report.found import Found, Run
 from experiments.report.measures import difference, unit
-from experiments.report.words import MISSING, NAMES, NO_RUN, interval, number, printed, spread
+from experiments.report.words import MISSING, NAMES, interval, lack, number, percent, printed, spread
 from experiments.statistics import interquartile_mean
 
 Column = Mapping[Any, str]  # what a seed has, by the row's key
 
 
 def side_by_side(
-    caption: str, key: str, keys: Sequence[Any], paper: Mapping[str, Column], ours: Mapping[str, Column]
+    caption: str,
+    key: str,
+    keys: Sequence[Any],
+    paper: Mapping[str, Column],
+    ours: Mapping[str, Column],
+    runs: Sequence[Run],
 ) -> Table:
     """A row a key; the paper's columns, then ours; one column that says so where there are none."""
     columns = {f"paper, {name}" if name else "paper": column for name, column in paper.items()}
-    columns |= {f"ours, {name}": column for name, column in ours.items()} or {"ours": {keys[0]: NO_RUN}}
+    columns |= {f"ours, {name}": column for name, column in ours.items()} or {"ours": {keys[0]: lack(runs)}}
     rows = [[printed(one), *(column.get(one, MISSING) for column in columns.values())] for one in keys]
     return Table(caption, (key, *columns), rows)
 
@@ -42,7 +47,10 @@ def midway(table: str, family: str, found: Found) -> list[Block]:
     )
     targets = [row[0] for row in next(iter(panels.values()))]
     theirs = [[row[2] for row in rows] for rows in panels.values()]
-    return [side_by_side(caption, "target", targets, paper, ours), _miss(family, targets, theirs, outcomes)]
+    return [
+        side_by_side(caption, "target", targets, paper, ours, found.runs(family)),
+        _miss(family, targets, theirs, outcomes),
+    ]
 
 
 def halfway(table: str, family: str, found: Found) -> list[Block]:
@@ -59,7 +67,10 @@ def halfway(table: str, family: str, found: Found) -> list[Block]:
         ours["mean ± std"] = {target: _mean_outcome(family, target, outcomes) for target in targets}
     caption = f"{NAMES[family]}: midway between two tasks ({unit(family)}), and for each seed the outcome at β = ½."
     theirs = [[row[1] for row in rows] for rows in panels.values()]
-    return [side_by_side(caption, "midway", targets, paper, ours), _miss(family, targets, theirs, outcomes)]
+    return [
+        side_by_side(caption, "midway", targets, paper, ours, found.runs(family)),
+        _miss(family, targets, theirs, outcomes),
+    ]
 
 
 def _pairs(found: Found, family: str) -> dict[int, dict[float, dict[str, Any]]]:
@@ -88,7 +99,7 @@ def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: di
             return f"{number(float(interquartile_mean(miss)), 3)} {unit(family)} (1 seed)"
         return f"{interval(interquartile_mean, miss, digits=3)} {unit(family)} ({len(miss)} seeds)"
 
-    mine = said(whole) if whole else NO_RUN
+    mine = said(whole) if whole else MISSING
     return (
         f"Distance from the value midway, interquartile mean with its 95 % interval: paper {said(theirs)}; ours {mine}."
     )
@@ -100,7 +111,9 @@ def met(found: Found) -> list[Block]:
     paper = {name: {row[0]: _arrow(row[1], row[2]) for row in rows} for name, rows in panels.items()}
     ours = {f"seed {run.seed}": column for run in found.runs(CHEETAH) if (column := _met_by(run))}
     caption = "HalfCheetah-Vel: speed to meet between 2 and 3 m/s, and for each seed the β → the speed (m/s)."
-    return [side_by_side(caption, "task", [row[0] for row in next(iter(panels.values()))], paper, ours)]
+    return [
+        side_by_side(caption, "task", [row[0] for row in next(iter(panels.values()))], paper, ours, found.runs(CHEETAH))
+    ]
 
 
 def _met_by(run: Run) -> dict[str, str]:
@@ -130,7 +143,7 @@ def beyond(analyses: Mapping[str, Sequence[Analysis]], found: Found) -> list[Blo
         paper = {"": {beta: number(outcome, 2) for beta, outcome in rows}}
         first, second = panel.split(" & ")
         caption = f"{NAMES[family]}, {first} (β = 1) and {second} (β = 0): outcome ({unit(family)}) at β beyond them."
-        blocks.append(side_by_side(caption, "β", [row[0] for row in rows], paper, ours))
+        blocks.append(side_by_side(caption, "β", [row[0] for row in rows], paper, ours, found.runs(family)))
     return blocks
 
 
@@ -146,7 +159,7 @@ def composition(found: Found) -> list[Block]:
             for one in run.of_seed(analysis.name, "seeds"):
                 blocks.append(_along_beta(run, run.document(analysis.name) or {}, one["blends"]))
     if len(blocks) == 1:
-        blocks.append(f"Ours: {NO_RUN}.")
+        blocks.append(f"Ours: {lack(found.runs(RUN_JUMP))}.")
     return blocks
 
 
@@ -158,8 +171,8 @@ def _along_beta(run: Run, document: dict[str, Any], blends: list[dict[str, Any]]
             printed(blend["beta"]),
             number(blend["outcome"]["velocity"], 2),
             number(blend["outcome"]["height"], 2),
-            *(f"{blend['contact'][foot]:.0%}" for foot in feet),
-            f"{blend['airborne']:.0%}",
+            *(percent(blend["contact"][foot], 0) for foot in feet),
+            percent(blend["airborne"], 0),
         ]
         for blend in blends
     ]

@@ -40,4 +40,4 @@ class Section:
     id: str
     title: str
     blocks: list[Block]
-    missing: bool = False  # nothing of ours yet
+    lack: str = ""  # why there is nothing of ours

@@ -76,7 +76,7 @@ def lead(found: Found) -> list[Block]:
         "(arXiv 2210.09566), its numbers as `experiments/paper.json` has them.",
         "± is the sample standard deviation over seeds. IQM is the interquartile mean of all seeds' task returns: of n "
         "the lowest and the highest ⌊n / 4⌋ are left out. Brackets are 95 % intervals by bootstrap, seeds drawn anew "
-        "for each task; one seed gives none. P(EAR better) is how often a seed of EAR-SAC beats one of that method on the "
-        "same task, ties counting one half. — is what is not there.",
+        "for each task; one seed gives none. P(EAR better) is how often a seed of EAR-SAC beats one of that method on "
+        "the same task, ties counting one half. — is what is not there.",
         f"Made by `python -m experiments report --preset {found.preset}`.",
     ]

@@ -10,13 +10,14 @@ from experiments.paper import CHEETAH, FAMILIES
 from experiments.report.blocks import Points, Section
 from experiments.report.found import Found, Run
 from experiments.report.measures import mean_return, paper_budget, paper_counts, paper_return, successes, task_returns
-from experiments.report.words import NAMES, number, printed, seeds, spread
+from experiments.report.words import NAMES, number, percent, printed, seeds, spread
 
 Verdict = tuple[bool, str]  # whether we agree, and what is compared
 MEASURES = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
 
 WHY = (
-    "LTE noise: the paper adds noise to the task embedding; the released code computes it and never uses it. We do.",
+    "LTE noise: the paper adds noise to the task embedding; the released code computes it and never uses it. Ours has "
+    "it in all of the actor's objectives.",
     "OHE-SAC: in the authors' code the replay holds zeros in place of the one-hot, so the paper's row is that of a "
     "policy that does not know its task. Ours sees its one-hot; `onehot-blind` is trained with zeros for comparison.",
     "Ant-Dir: the paper's text has a penalty on lateral speed of weight 1; the released code has 0, and so have we.",
@@ -37,14 +38,14 @@ def comparison(found: Found) -> Section:
         "comparison",
         "Where we agree with the paper, where not, and why",
         [
-            "We call it agreement where our mean return is no worse than the paper's mean less its standard deviation, "
-            "and where our share of pairs is no smaller than the paper's.",
-            "Agreement:",
+            "Level with the paper is a mean return no worse than the paper's mean less its standard deviation, and a "
+            "share of pairs no smaller than the paper's. One seed tells little; the paper has three.",
+            "Level with the paper:",
             Points(agree or ["nothing yet"]),
-            "No agreement:",
-            Points(differ or ["nothing yet"]),
+            "Short of the paper:",
+            Points(differ or ["nothing"]),
             *([f"Nothing to compare yet: {', '.join(without)}."] if without else []),
-            "Why:",
+            "What lies behind that, and what is done otherwise than in the paper or its code:",
             Points([*_budgets(found), *_cheetah(found), *_blind(found), *WHY]),
         ],
     )
@@ -75,7 +76,7 @@ def _budgets(found: Found) -> Iterator[str]:
             part_of_steps = np.mean([run.last["env_steps"] for run in runs]) / steps
             part_of_updates = np.mean([run.last["updates"] for run in runs]) / updates
             shares.append(
-                f"{NAMES[family]} {part_of_steps:.1%} of the env steps and {part_of_updates:.1%} of the updates"
+                f"{NAMES[family]} {percent(part_of_steps)} of the env steps and {percent(part_of_updates)} of updates"
             )
     if shares:
         recipe = "" if found.preset == "paper" else f"`{found.preset}` is another recipe than the paper's. "

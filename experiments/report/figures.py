@@ -25,7 +25,7 @@ def look(index: int) -> dict[str, Any]:
     return {
         "color": COLOURS[index % len(COLOURS)],
         "linestyle": LINES[(index + index // len(COLOURS)) % len(LINES)],
-        "marker": MARKERS[index % len(MARKERS)],
+        "marker": MARKERS[(index + index // len(COLOURS)) % len(MARKERS)],
     }
 
 
@@ -92,7 +92,9 @@ def _finish(axes: Axes, title: str, columns: int = 1) -> None:
 
 def _short(steps: float, _: int) -> str:
     """Env steps on an axis, as in 400k and 1.2M."""
-    return f"{steps / 1e6:g}M" if steps >= 1e6 else f"{steps / 1e3:g}k"
+    if steps >= 1e6:
+        return f"{steps / 1e6:g}M"
+    return f"{steps / 1e3:g}k" if steps else "0"
 
 
 def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:

@@ -13,9 +13,9 @@ from ear_jax import records
 from ear_jax.config import Config, flat, preset_config
 from ear_jax.errors import RunError
 from experiments import inventory
-from experiments.commands import analysis_words, train_words
+from experiments.commands import train_words
 from experiments.inventory import BUDGET, Job
-from experiments.paper import Analysis, Experiment, Method
+from experiments.paper import Experiment, Method
 
 Key = tuple[str, str, str]  # family, agent, preset with its ablations
 
@@ -42,7 +42,10 @@ class Run:
 
     @property
     def command(self) -> str:
-        return shlex.join(["ear", *train_words(Job(self.config, ()))])
+        """The command that trained it; with several seeds, all of them."""
+        seeds = self.made["config"]["seeds"]
+        together = ["--seeds", str(seeds)] if seeds > 1 else []
+        return shlex.join(["ear", *train_words(Job(self.config, ())), *together])
 
     @cached_property
     def changes(self) -> dict[str, Any]:
@@ -67,11 +70,6 @@ class Run:
     def of_seed(self, name: str, key: str) -> list[dict[str, Any]]:
         """What an analysis says of this seed under a key; empty where there is none."""
         return [one for one in (self.document(name) or {}).get(key, []) if one["seed"] == self.seed]
-
-    def made_by(self, analysis: Analysis) -> str:
-        """The command that made an analysis: as recorded, or as it is today."""
-        recorded = (self.document(analysis.name) or {}).get("command")
-        return recorded or shlex.join(["ear", *analysis_words(Job(self.config, ()), analysis)])
 
 
 class Found:

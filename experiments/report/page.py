@@ -22,7 +22,7 @@ code { font: .88em ui-monospace, monospace; background: var(--soft); padding: .0
 nav { background: var(--soft); padding: .8rem 1.1rem; border-radius: 6px; }
 nav ul { columns: 21rem; column-gap: 2rem; max-width: none; padding: 0; margin: .4rem 0; list-style: none; }
 nav li { break-inside: avoid; padding: .12rem 0; }
-.lack { color: var(--dim); font-size: .9em; }
+.lack { color: var(--dim); font-size: .9em; white-space: nowrap; }
 .box { overflow-x: auto; margin: .4rem 0 1.2rem; border: 1px solid var(--line); border-radius: 6px; }
 .box:focus-visible { outline: 2px solid var(--link); }
 table { border-collapse: collapse; width: 100%; font-size: .875rem; font-variant-numeric: tabular-nums; }
@@ -63,10 +63,10 @@ def page(title: str, lead: Sequence[Block], sections: Sequence[Section]) -> str:
 
 
 def contents(sections: Sequence[Section]) -> str:
-    """A list of links to the sections, with what has no run yet marked."""
+    """A list of links to the sections, with what is missing marked."""
     entries = "\n".join(
         f'<li><a href="#{section.id}">{text(section.title)}</a>'
-        + (' <span class="lack">no run yet</span>' if section.missing else "")
+        + (f' <span class="lack">{text(section.lack)}</span>' if section.lack else "")
         + "</li>"
         for section in sections
     )
@@ -102,5 +102,5 @@ def table(one: Table) -> str:
 
 
 def text(words: str) -> str:
-    """Escaped, and what stands between backticks as code."""
-    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(words))
+    """Escaped; what stands between backticks is code, and no line ends before a %."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(words)).replace(" %", "&nbsp;%")

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ear_jax.errors import RunError
-from experiments.paper import ADAPTATION, FAMILIES, INTERPOLATION, Analysis
+from experiments.paper import ADAPTATION, CHEETAH, FAMILIES, INTERPOLATION, Analysis
 from experiments.report.blocks import Table
 from experiments.report.found import Found, Run
 from experiments.report.markdown import table
-from experiments.report.measures import mean_return, paper_counts, paper_return, successes, unit
+from experiments.report.measures import mean_return, paper_budget, paper_counts, paper_return, successes, unit
 from experiments.report.words import MISSING, NAMES, count, number, printed, seeds, span, spread
 
 README = Path(__file__).parents[2] / "README.md"
 BEGIN, END = "<!-- results -->", "<!-- /results -->"
+MILESTONES = {CHEETAH: (-350, -250)}  # returns, and when training passed them
 SUCCESS = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
 
 
@@ -48,20 +50,34 @@ def _family(family: str, runs: list[Run]) -> list[list[str]]:
     if not runs:
         return []
     paper = paper_return(family, "ear")
-    spent = (
-        f"{seeds(runs)}, {span([run.last['updates'] for run in runs], count)} updates, "
-        f"{span([run.last['env_steps'] for run in runs], count)} env steps, "
-        f"{span([run.last['seconds'] / 60 for run in runs], lambda minutes: number(minutes, 0))} min"
-    )
-    reached = f"{spread([mean_return(run) for run in runs])} ({spent})"
-    theirs = printed(paper) if paper else MISSING
-    rows = [[f"{NAMES[family]}, return", f"`{_any_seed(runs)}`", reached, theirs]]
+    reached = f"{spread([mean_return(run) for run in runs])} ({seeds(runs)}; {_spent([run.last for run in runs])})"
+    steps, updates = map(count, paper_budget(family))
+    theirs = f"{printed(paper)} (3 seeds; {steps} env steps, {updates} updates)"
+    rows = [[f"{NAMES[family]}, return", f"`{_any_seed(runs)}`", reached, theirs], *_passed(family, runs)]
     for what, words in SUCCESS.items():
         counted = successes(runs, what)
         if counted:
             pairs = f"{counted[0]} of {counted[1]} pairs"
             rows.append([f"… {words}", _on_run(INTERPOLATION), pairs, printed(paper_counts(family, what))])
     return rows + _adapted(family, runs)
+
+
+def _passed(family: str, runs: list[Run]) -> list[list[str]]:
+    """When the mean return in training passed the family's milestones, where that of every run did."""
+    rows = []
+    for level in MILESTONES.get(family, ()):
+        first = [next((row for row in run.rows if row["mean_return"] >= level), None) for run in runs]
+        reached = [row for row in first if row]
+        if len(reached) == len(runs):
+            rows.append([f"… passes {number(level, 0)} in training", "", _spent(reached), MISSING])
+    return rows
+
+
+def _spent(rows: list[dict[str, Any]]) -> str:
+    """The budget of rows of metrics, from the least to the most."""
+    minutes = span([row["seconds"] / 60 for row in rows], number)
+    steps, updates = (span([row[key] for row in rows], count) for key in ("env_steps", "updates"))
+    return f"{minutes} min, {steps} env steps, {updates} updates"
 
 
 def _any_seed(runs: list[Run]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from experiments.paper import (
     ANT,
@@ -19,7 +20,7 @@ from experiments.paper import (
 from experiments.report import blends, pictures, settings, tables
 from experiments.report.blocks import Block, Section, Table
 from experiments.report.found import Found, Run
-from experiments.report.words import MISSING, NAMES, NO_RUN, count, number
+from experiments.report.words import MISSING, NAMES, NO_RUN, count, lack, number
 
 BEYOND = {CHEETAH: SPEEDS_BEYOND, ANT: DIRECTIONS_BEYOND}
 FAMILIES = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
@@ -56,17 +57,19 @@ def section(experiment: Experiment, found: Found, out: Path) -> Section:
     if experiment.id in TABLES:
         blocks = TABLES[experiment.id](found)
     else:
-        blocks = FIGURES[experiment.id](experiment.id, found, out) or [f"{_lack(experiment, found)}."]
+        blocks = FIGURES[experiment.id](experiment.id, found, out) or [f"{lack(found.behind(experiment))}."]
     if not experiment.methods:
         return Section(experiment.id, title, blocks)
-    runs = found.behind(experiment)
     made = f"`python -m experiments reproduce {experiment.id} --preset {found.preset}` makes it."
     blocks = [made, *blocks, _runs_behind(experiment, found)]
-    return Section(experiment.id, title, blocks, missing=not runs)
+    return Section(experiment.id, title, blocks, _lack(experiment, found))
 
 
 def _lack(experiment: Experiment, found: Found) -> str:
-    return "—, not analysed yet" if found.behind(experiment) else NO_RUN
+    """Why there is nothing of ours to show, or an empty string."""
+    runs = [(run, method.analyses) for method in experiment.methods for run in found.of(method)]
+    shown = any(not analyses or any(run.document(one.name) for one in analyses) for run, analyses in runs)
+    return "" if shown else lack(runs).removeprefix(f"{MISSING}, ")
 
 
 def _runs_behind(experiment: Experiment, found: Found) -> Table:
@@ -76,19 +79,22 @@ def _runs_behind(experiment: Experiment, found: Found) -> Table:
         runs = found.of(method)
         for run in runs:
             rows.append([run.name, run.command, *facts(run)])
-            for analysis in method.analyses:
-                document = run.document(analysis.name)
-                command = run.made_by(analysis) if document else "not made yet"
-                whence = (
-                    [document["commit"] or MISSING, document["machine"]["processor"]] if document else [MISSING] * 2
-                )
-                rows.append([f"{run.name}: {analysis.name}", command, *[MISSING] * 3, *whence])
+            rows += [[f"{run.name}: {one.name}", *_made(run.document(one.name))] for one in method.analyses]
         if not runs:
             name = f"{NAMES[method.family]}, {NAMES[method.agent]}{pictures.ABLATIONS[method.ablation]}"
             rows.append([name, NO_RUN, *[MISSING] * 5])
     rows = [[name, f"`{command}`" if command.startswith("ear ") else command, *rest] for name, command, *rest in rows]
     columns = ("run", "command", "env steps", "updates", "minutes", "commit", "machine")
     return Table("Runs and analyses behind it.", columns, rows, folded=True)
+
+
+def _made(document: dict[str, Any] | None) -> list[str]:
+    """By what an analysis was made, and from what commit and where."""
+    if document is None:
+        return ["not made yet", *[MISSING] * 5]
+    machine = document.get("machine", {}).get("processor", MISSING)
+    command = document.get("command", "command not recorded")
+    return [command, *[MISSING] * 3, document.get("commit") or MISSING, machine]
 
 
 def facts(run: Run) -> list[str]:
@@ -105,7 +111,7 @@ def all_runs(found: Found) -> Section:
         [
             run.name,
             f"seed {run.seed}",
-            f"{count(run.last['epoch'])} of {count(run.config.epochs)}",
+            f"{count(run.last['epoch'])} of {count(run.made['config']['epochs'])}",
             *facts(run),
             ", ".join(f"{name} {value}" for name, value in run.changes.items()) or "none",
         ]
@@ -113,8 +119,8 @@ def all_runs(found: Found) -> Section:
     ]
     columns = ("run", "seed", "epochs", "env steps", "updates", "minutes", "commit", "machine", "other settings then")
     caption = (
-        f"Recorded runs of `{found.preset}`. Epochs are of those its preset has today; other settings are those that "
-        "the preset has otherwise today."
+        f"Recorded runs of `{found.preset}`: epochs done of those they were begun with, and settings that the preset "
+        "has otherwise today."
     )
     blocks: list[Block] = [Table(caption, columns, rows)] if rows else [f"{NO_RUN}."]
     return Section("runs", "Runs", blocks)

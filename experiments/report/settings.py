@@ -9,7 +9,7 @@ from ear_jax.config import Config, preset_config
 from experiments.paper import numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.found import Found
-from experiments.report.words import MISSING, NO_RUN, printed
+from experiments.report.words import NO_RUN, count, printed
 
 AGENTS = {"EAR-SAC": "ear", "MAML": "maml", "PEARL": "pearl", "MTMH-SAC": "multihead", "OHE-SAC": "onehot"}
 
@@ -18,7 +18,9 @@ def _layers(hidden: int, kind: str = "MLP") -> str:
     return f"{hidden}-layer {kind}"
 
 
+EPISODE = 200  # steps; in `Family.episode_length`, which is not to be had without JAX
 OURS: dict[str, Callable[[Config], Any]] = {
+    "max episode frames": lambda config: EPISODE,
     "sensory encoder": lambda config: _layers(config.network.encoder_layers),
     "action decoder": lambda config: _layers(config.network.decoder_layers),
     "task encoder": lambda config: _layers(config.network.task_layers + 1, "FC"),
@@ -29,7 +31,7 @@ OURS: dict[str, Callable[[Config], Any]] = {
     "learning rate": lambda config: config.sac.lr,
     "discount": lambda config: config.sac.discount,
     "batch size": lambda config: config.sac.batch_size,
-    "replay buffer": lambda config: f"{config.replay.capacity:,}",
+    "replay buffer": lambda config: config.replay.capacity,
     "pretrain epochs": lambda config: config.collect.pretrain_epochs,
     "training epochs": lambda config: config.epochs,
     "optimization times": lambda config: config.sac.updates,
@@ -43,15 +45,19 @@ def hyperparameters(found: Found) -> list[Block]:
     configs = [preset_config(group.split(" and ")[0], found.preset) for group in data["columns"][1:]]
     rows = []
     for name, *theirs in data["panels"][""]:
-        ours = [printed(OURS[name](config)) if name in OURS else MISSING for config in configs]
-        cells = [f"{value:,}" if isinstance(value, int) else printed(value) for value in theirs]
+        ours = [_cell(OURS[name](config)) for config in configs]
+        cells = map(_cell, theirs)
         rows.append([name, *(cell for pair in zip(cells, ours, strict=True) for cell in pair)])
     heads = [f"{group}, {whose}" for group in data["columns"][1:] for whose in ("paper", "ours")]
     caption = (
         f"Settings of EAR-SAC; ours: the preset `{found.preset}` as it is today. The paper's learning rate lost its "
-        "exponent in print. Episodes are of 200 steps in ours too."
+        "exponent in print."
     )
     return [Table(caption, ("setting", *heads), rows)]
+
+
+def _cell(value: Any) -> str:
+    return count(value) if isinstance(value, int) else printed(value)
 
 
 def training_tasks(found: Found) -> list[Block]:
@@ -60,10 +66,12 @@ def training_tasks(found: Found) -> list[Block]:
     groups = [group.split(" and ") for group in data["columns"][1:]]
     rows = []
     for name, *theirs in data["panels"][""]:
-        ours = ["; ".join(_tasks(found, family, AGENTS[name]) for family in families) for families in groups]
+        ours = [
+            "; ".join(dict.fromkeys(_tasks(found, family, AGENTS[name]) for family in families)) for families in groups
+        ]
         rows.append([name, *(cell for pair in zip(theirs, ours, strict=True) for cell in pair)])
     heads = [f"{group}, {whose}" for group in data["columns"][1:] for whose in ("paper", "ours")]
-    return [Table("Training tasks; ours as recorded, families in the column's order.", ("method", *heads), rows)]
+    return [Table("Training tasks; ours as recorded with the runs.", ("method", *heads), rows)]
 
 
 def _tasks(found: Found, family: str, agent: str) -> str:

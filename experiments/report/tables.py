@@ -16,10 +16,9 @@ from experiments.report.measures import (
     score_table,
     successes,
 )
-from experiments.report.words import MISSING, NAMES, NO_RUN, count, interval, number, printed, seeds, span, spread
+from experiments.report.words import MISSING, NAMES, NO_RUN, count, interval, lack, number, printed, seeds, span, spread
 from experiments.statistics import interquartile_mean, probability_of_improvement
 
-NO_ANALYSIS = "—, not analysed yet"
 MEASURES = {"mid_task": "mid-task", "one_to_one": "1:1"}
 
 
@@ -55,7 +54,7 @@ def _family_returns(found: Found, family: str, agents: list[str]) -> Table:
     steps, updates = paper_budget(family)
     caption = (
         f"{NAMES[family]}: return, mean over the training tasks. The paper: 3 seeds, for EAR-SAC {count(steps)} env "
-        f"steps and {count(updates)} updates."
+        f"steps and {count(updates)} updates. Ours: as `ear evaluate` has it, or else the last evaluation of training."
     )
     heads = ("ours", "IQM [95 %]", "P(EAR better) [95 %]", "seeds", "env steps", "updates", "minutes")
     return Table(caption, ("method", "paper", *heads), rows)
@@ -87,9 +86,7 @@ def interpolation_counts(found: Found) -> list[Block]:
 
 def share(runs: Sequence[Run], counted: tuple[int, int] | None) -> str:
     """How many of how many, and of how many seeds."""
-    if not runs:
-        return NO_RUN
-    return f"{counted[0]} of {counted[1]} ({seeds(runs)})" if counted else NO_ANALYSIS
+    return f"{counted[0]} of {counted[1]} ({seeds(runs)})" if counted else lack(runs)
 
 
 def episode_ends(found: Found) -> list[Block]:
@@ -102,7 +99,7 @@ def episode_ends(found: Found) -> list[Block]:
             lengths = [count(length) for length in worst["episodes"]["length"]][: len(paper)]
             rows.append([f"ours, seed {run.seed}, {worst['name']}", *lengths, *[MISSING] * (len(paper) - len(lengths))])
     if len(rows) == 1:
-        rows.append(["ours", NO_RUN, *[MISSING] * (len(paper) - 1)])
+        rows.append(["ours", lack(found.runs(ANT, "ear", "+no-noise")), *[MISSING] * (len(paper) - 1)])
     caption = (
         "Steps after which episodes of Ant-Dir end; the paper does not name its task, ours is that of the shortest."
     )

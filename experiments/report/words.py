@@ -11,6 +11,7 @@ from experiments.statistics import bootstrap_interval
 
 MISSING = "—"
 NO_RUN = "—, no run yet"
+NO_ANALYSIS = "—, not analysed yet"
 NAMES = {
     "halfcheetah-vel": "HalfCheetah-Vel",
     "ant-dir": "Ant-Dir",
@@ -39,6 +40,15 @@ def count(value: int) -> str:
 
 def seeds(runs: Sequence[Any]) -> str:
     return "1 seed" if len(runs) == 1 else f"{len(runs)} seeds"
+
+
+def percent(share: float, digits: int = 1) -> str:
+    return f"{100 * share:.{digits}f} %"
+
+
+def lack(runs: Sequence[Any]) -> str:
+    """Why there is nothing of ours, where there are these runs."""
+    return NO_ANALYSIS if runs else NO_RUN
 
 
 def spread(values: Sequence[float], digits: int = 1) -> str:
