@@ -62,7 +62,7 @@ def write(found: Found, out: Path) -> Sequence[Path]:
         sections = [comparison(found), *all_sections(found, out), all_runs(found)]
         paths = out / "index.html", out / "tables.md"
         for path, render in zip(paths, (page.page, markdown.document), strict=True):
-            path.write_text(render(TITLE, lead(found), sections))
+            path.write_text(render(TITLE, lead(found), sections), encoding="utf-8")
     except OSError as error:
         raise RunError(f"cannot write the report to {out}: {error.strerror}") from None
     return paths

@@ -27,13 +27,13 @@ def rewrite(found: Found) -> None:
     Raises:
       RunError: README has not the two markers, or cannot be written.
     """
-    text = README.read_text()
+    text = README.read_text("utf-8")
     before, opening, rest = text.partition(BEGIN)
     _, closing, after = rest.partition(END)
     if not (opening and closing):
         raise RunError(f"{README} has no place for the results, between {BEGIN} and {END}")
     try:
-        README.write_text(f"{before}{BEGIN}\n{results(found)}{END}{after}")
+        README.write_text(f"{before}{BEGIN}\n{results(found)}{END}{after}", encoding="utf-8")
     except OSError as error:
         raise RunError(f"cannot write {README}: {error.strerror}") from None
 
