@@ -18,6 +18,7 @@ from ear_jax import run
 from ear_jax.config import CheckpointConfig, Config, flat, preset_config
 from ear_jax.run import compile_program, train_run
 from ear_jax.train import Program, make_program, seed_keys
+from experiments import inventory
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -25,6 +26,14 @@ def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compiled programs are shared between the tests of a session, and with nothing else."""
     jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("xla")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with no records yet; those made there are all that experiments know of."""
+    monkeypatch.setattr(inventory, "RECORDS", tmp_path / "records")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ from experiments.report.found import Run
 LINES = ("-", "--", "-.", ":")
 MARKERS = "os^Dvx"
 Lines = dict[str, list[Run]]  # runs by the label of their line
-PANEL = (4.3, 3.0)  # inches
+PANEL = (4.3, 3.3)  # inches
 
 
 def look(index: int) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def task_curves(axes: Axes, title: str, run: Run) -> None:
     """Each training task's return against env steps in one run."""
     for index, task in enumerate(run.last["returns"]):
         _curve(axes, index, task, [{row["env_steps"]: row["returns"][task] for row in run.rows}])
-    _finish(axes, title, columns=2)
+    _finish(axes, title, columns=5)
 
 
 def _steps(run: Run) -> dict[int, float]:
@@ -84,10 +84,15 @@ def _curve(axes: Axes, index: int, label: str, curves: Sequence[dict[int, float]
         axes.fill_between(shared, middle - width, middle + width, color=look(index)["color"], alpha=0.15, linewidth=0)
 
 
-def _finish(axes: Axes, title: str, columns: int = 1) -> None:
+def _finish(axes: Axes, title: str, columns: int = 2) -> None:
     axes.set(xlim=(0, None), xlabel="env steps, all tasks together", ylabel="return of an episode", title=title)
     axes.xaxis.set_major_formatter(FuncFormatter(_short))
-    axes.legend(fontsize=7, ncols=columns, framealpha=0.85, edgecolor="none")
+    _legend_below(axes, columns)
+
+
+def _legend_below(axes: Axes, columns: int) -> None:
+    """Where it hides no line."""
+    axes.legend(fontsize=7, ncols=columns, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
 def _short(steps: float, _: int) -> str:
@@ -111,4 +116,4 @@ def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
         if len(answers) == len(searched):
             axes.plot(0, np.mean(answers), "*", color=style["color"], markersize=9, label=f"{label}: from a map")
     axes.set(xlabel="epochs of search (0: none)", ylabel="return, mean over unseen tasks", title=title)
-    axes.legend(fontsize=7, framealpha=0.85, edgecolor="none")
+    _legend_below(axes, 2)

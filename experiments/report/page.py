@@ -31,10 +31,11 @@ td { white-space: nowrap; }
 td code { white-space: nowrap; }
 thead th { background: var(--soft); font-weight: 600; vertical-align: bottom; }
 tbody tr:last-child > * { border-bottom: 0; }
-tbody th { font-weight: 500; min-width: 8rem; }
+tbody th { font-weight: 500; min-width: 6rem; }
 .caption { margin: 1.2rem 0 .2rem; font-size: .92rem; }
 figure { margin: 1.2rem 0; }
-figure img { max-width: 100%; height: auto; }
+.scroll { overflow-x: auto; }
+.scroll img { max-width: 100%; min-width: 44rem; height: auto; }
 figcaption { max-width: 46rem; font-size: .92rem; color: var(--dim); }
 details { margin: .6rem 0; }
 summary { cursor: pointer; color: var(--link); }
@@ -80,7 +81,8 @@ def block(one: Block) -> str:
         return "<ul>\n" + "\n".join(f"<li>{text(line)}</li>" for line in one.lines) + "\n</ul>"
     if isinstance(one, Picture):
         image = f'<img src="{html.escape(one.file)}" alt="{html.escape(one.caption)}">'
-        return f"<figure>\n{image}\n<figcaption>{text(one.caption)}</figcaption>\n</figure>"
+        box = f'<div class="scroll" tabindex="0">{image}</div>'
+        return f"<figure>\n{box}\n<figcaption>{text(one.caption)}</figcaption>\n</figure>"
     return f"<p>{text(one)}</p>"
 
 
