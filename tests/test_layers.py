@@ -16,7 +16,7 @@ LAYERS = [
     {"records", "manifest", "lock", "safetensors", "leaves", "tasks", "config", "physics", "networks", "policy"},
     {"runtime", "terminal", "checkpoint", "export", "directory", "failure", "report", "ltes"},
     {"envs", "agents", "stage"},
-    {"grid", "codes"},
+    {"grid", "codes", "seeds"},
     {"cem"},
     {"rollout", "replay"},
     {"losses"},
