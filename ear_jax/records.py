@@ -40,7 +40,8 @@ def read_run(run: Path) -> dict[str, Any]:
     """A run's `config.json`; raises UsageError where there is no run."""
     path = run / "config.json"
     if not path.is_file():
-        raise UsageError(f"{run} is not a run directory: it has no config.json (`ear train` makes one)")
+        makes = "`ear train` makes one, and `ear pretrained` lists agents that ship"
+        raise UsageError(f"{run} is not a run directory: it has no config.json ({makes})")
     try:
         document = json.loads(path.read_text())
         if not isinstance(document["config"], dict):

@@ -60,7 +60,7 @@ def main(words: list[str]) -> None:
         raise UsageError(f"--pretrained {' '.join(command.pretrained)} are several; name one agent")
     if command.out != OUT:
         raise UsageError("--out is for what is trained; --pretrained writes to runs/pretrained-NAME")
-    name = (command.pretrained or (_default(),))[0].removeprefix(pretrained.PREFIX)
+    name = (command.pretrained or (default_agent(),))[0].removeprefix(pretrained.PREFIX)
     document = show(load(Path(pretrained.PREFIX + name)), pretrained.card(name))
     if command.json:
         print(json.dumps(document))
@@ -88,7 +88,7 @@ def _train(command: DemoCommand) -> None:
     )
 
 
-def _default() -> str:
+def default_agent() -> str:
     """The agent to show where none is named: the family of the paper's first figures, or else the first there is."""
     names = pretrained.names()
     return FAMILY if FAMILY in names else next(iter(names), FAMILY)
@@ -111,6 +111,7 @@ def show(trained: Trained, card: dict[str, Any]) -> dict[str, Any]:
     """
     family = trained.program.family
     pair = best_pair(adjacent_pairs(trained_ends(trained), family), card)
+    figures = records.folder(trained.directory / "figures")
     with phase(f"looking for a blend of {pair[0].name} and {pair[1].name}"):
         found = interpolate(trained, [pair], None, SEARCH_EPISODES, seed=0)["pairs"][0]
     betas = (1.0, found["beta"], 0.0)
@@ -120,7 +121,7 @@ def show(trained: Trained, card: dict[str, Any]) -> dict[str, Any]:
     commanded = [pair[0].target, found["target"], pair[1].target]
     labels = [f"{name}\n{value:z.2f} {family.unit}" for name, value in zip(names, achieved, strict=True)]
     with phase("drawing"):
-        picture = _draw(trained, pair, betas, labels)
+        picture = _draw(figures / "demo.png", trained, pair, betas, labels)
     return {
         "run": trained.name,
         "between": found["between"],
@@ -145,7 +146,7 @@ def best_pair(pairs: list[Pair], card: dict[str, Any]) -> Pair:
     return min(pairs, key=lambda pair: max(errors.get(end.name, float("inf")) for end in pair))
 
 
-def _draw(trained: Trained, pair: Pair, betas: tuple[float, ...], labels: list[str]) -> Path:
+def _draw(path: Path, trained: Trained, pair: Pair, betas: tuple[float, ...], labels: list[str]) -> Path:
     """The strip of the ends and the blend; without OpenGL as sticks."""
     program, family = trained.program, trained.program.family
     policy = jax.tree.map(lambda leaf: leaf[0], trained.policies)
@@ -157,7 +158,7 @@ def _draw(trained: Trained, pair: Pair, betas: tuple[float, ...], labels: list[s
         panels = photograph(strip)
     except RunError:
         panels = strip.panels
-    return draw_strip(records.folder(trained.directory / "figures") / "demo.png", panels, strip.bounds, strip.note)
+    return draw_strip(path, panels, strip.bounds, strip.note)
 
 
 def _print(document: dict[str, Any]) -> None:
