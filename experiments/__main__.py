@@ -89,7 +89,13 @@ def check_seeds(seeds: int | None) -> None:
         raise UsageError(f"--seeds {seeds} is too small; it must be at least 1")
 
 
-COMMANDS = {"list": list_all, "reproduce": reproduce}
+def publish(words: list[str]) -> None:
+    from experiments.publish import main  # which waits for the policy's physics
+
+    main(words)
+
+
+COMMANDS = {"list": list_all, "reproduce": reproduce, "publish": publish}
 
 
 def main(arguments: list[str] | None = None) -> int:
