@@ -47,6 +47,8 @@ class NetworkConfig:
 class SacConfig:
     lr: float = 3e-4
     """Adam's step size, for the policy, each critic and the temperature."""
+    lr_decay: int = 0
+    """Updates in which the step size falls evenly to a tenth, where it stays; 0: it does not fall."""
     discount: float = 0.99
     tau: float = 0.005
     """How far the target critics follow the critics at each update."""
@@ -313,6 +315,7 @@ _MINIMA: dict[str, int] = {
     "minutes": 0,
     **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
+    "sac.lr_decay": 0,
     "sac.batch_size": 1,
     "sac.updates": 1,
     "collect.envs": 1,

@@ -20,6 +20,7 @@ from ear_jax.replay import Replay
 from ear_jax.tasks import TaskParams
 
 CRITICS = 2
+LAST_LR = 0.1  # of the step size, where it decays
 
 
 @struct.dataclass
@@ -70,7 +71,8 @@ class Learner:
     @property
     def optimiser(self) -> optax.GradientTransformation:
         sac = self.config.sac
-        return optax.chain(optax.clip_by_global_norm(sac.max_grad_norm), optax.adam(sac.lr))
+        lr = optax.linear_schedule(sac.lr, LAST_LR * sac.lr, sac.lr_decay) if sac.lr_decay else sac.lr
+        return optax.chain(optax.clip_by_global_norm(sac.max_grad_norm), optax.adam(lr))
 
     def init(self, key: jax.Array) -> LearnerState:
         key_policy, key_critics = jax.random.split(key)

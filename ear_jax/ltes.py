@@ -67,7 +67,7 @@ def lookup(run: Path, name: str) -> dict[str, Any]:
     """A saved LTE: its task and codes [seeds, code]; raises UsageError where there is none."""
     known = named(run)
     if not known:
-        raise UsageError(f"no LTE {name!r}: {run} has none (`ear adapt {run} --target X --save NAME` saves one)")
+        raise UsageError(f"no LTE {name!r}: {run} has none (`ear adapt RUN --target X --save NAME` saves one)")
     if name not in known:
         raise unknown("LTE", name, known)
     return known[name]

@@ -27,11 +27,21 @@ def write_json(path: Path, document: Any) -> None:
     _write(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
+def folder(path: Path) -> Path:
+    """The same path, with a directory there and above it; raises RunError where it cannot be made."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}") from None
+    return path
+
+
 def read_run(run: Path) -> dict[str, Any]:
     """A run's `config.json`; raises UsageError where there is no run."""
     path = run / "config.json"
     if not path.is_file():
-        raise UsageError(f"{run} is not a run directory: it has no config.json (`ear train` makes one)")
+        makes = "`ear train` makes one, and `ear pretrained` lists agents that ship"
+        raise UsageError(f"{run} is not a run directory: it has no config.json ({makes})")
     try:
         document = json.loads(path.read_text())
         if not isinstance(document["config"], dict):

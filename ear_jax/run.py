@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ear_jax import checkpoint, records, runtime, train
+from ear_jax import checkpoint, records, train
 from ear_jax.checkpoint import Step
 from ear_jax.config import Config
 from ear_jax.directory import check_place, check_settings, check_tasks
@@ -25,6 +25,7 @@ from ear_jax.failure import check_finite
 from ear_jax.learner import CRITICS
 from ear_jax.lock import hold
 from ear_jax.networks import Params
+from ear_jax.seeds import over_seeds, spread
 from ear_jax.stopping import Stopped, StopRequest
 from ear_jax.terminal import TrainingBar, phase, say
 from ear_jax.train import Program, TrainState
@@ -82,22 +83,18 @@ def train_run(config: Config, directory: Path) -> None:
 
 def compile_program(program: Program, keys: jax.Array) -> Compiled:
     """Compiles everything a run calls; `keys` [seeds] only for its shape."""
-    compile_options = runtime.compiler_options()
+    seeds = len(keys)
 
     def evaluate(policy: Params, key: jax.Array) -> Episodes:
         return play_training_tasks(program, policy, key, program.config.log.episodes)
 
-    begin = jax.jit(jax.vmap(partial(train.begin, program)), compiler_options=compile_options)
-    chunk = jax.jit(
-        jax.vmap(partial(train.train_chunk, program), in_axes=(0, None)),
-        donate_argnums=0,
-        compiler_options=compile_options,
-    )
+    begin = over_seeds(partial(train.begin, program), seeds, (0,))
+    chunk = over_seeds(partial(train.train_chunk, program), seeds, (0, None), donate_argnums=0)
     state = jax.eval_shape(begin, keys)
     return Compiled(
         begin=begin,
         chunk=chunk.lower(state, jax.ShapeDtypeStruct((), jnp.int32)).compile(),
-        evaluate=jax.jit(jax.vmap(evaluate), compiler_options=compile_options),
+        evaluate=over_seeds(evaluate, seeds, (0, 0)),
     )
 
 
@@ -114,7 +111,7 @@ def _continue(program: Program, compiled: Compiled, keys: jax.Array, step: Step)
         say(f"warning: {'; '.join(differences)}: what follows may differ in the last bit")
     with phase(f"restoring epoch {step.epoch}"):
         if step.about["replay"]:
-            return checkpoint.restore(step, like)
+            return jax.device_put(checkpoint.restore(step, like), spread(len(keys)))
         state = checkpoint.restore(step, like.without_replay)
     epochs = program.config.collect.pretrain_epochs
     say(
@@ -122,9 +119,9 @@ def _continue(program: Program, compiled: Compiled, keys: jax.Array, step: Step)
         f"{program.env_steps(epochs):,} env steps a seed, fill it anew, and the run is another from here on"
     )
     state = dataclasses.replace(state, replay=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like.replay))
-    refill = jax.vmap(partial(train.pretrain, program))
+    refill = over_seeds(partial(train.pretrain, program), len(keys), (0,), donate_argnums=0)
     with phase("collecting with the policy as it stands"):
-        return jax.jit(refill, donate_argnums=0, compiler_options=runtime.compiler_options())(state)
+        return refill(jax.device_put(state, spread(len(keys))))
 
 
 def _train_blocks(

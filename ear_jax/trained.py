@@ -1,4 +1,4 @@
-"""A policy that was trained, as those see it who only use it: of a run's newest checkpoint, or of an exported file."""
+"""A policy that was trained, as those see it who only use it: of a run's newest checkpoint, or of a file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 
-from ear_jax import checkpoint, records, train
+from ear_jax import checkpoint, pretrained, records, train
 from ear_jax.config import from_dict
 from ear_jax.directory import check_tasks
 from ear_jax.envs import FAMILIES
@@ -35,18 +35,22 @@ class Trained:
 
 
 def load(path: Path, family: str | None = None, engine: str | None = None) -> Trained:
-    """Reads the policies of a run's newest good checkpoint, or of a file that `ear export` wrote.
+    """Reads the policies of a run's newest good checkpoint, of an exported file, or of a pretrained agent.
 
     Args:
-      path: the run's directory, or the file.
+      path: the run's directory, a file that `ear export` wrote, or `pretrained:NAME`.
       family: the family, as `ear train` takes it. It has to be named where it is not one of this package's: no code is
         run because a file says so.
       engine: the physics engine; by default a run's own, and for a file the one that is best here.
 
     Raises:
-      UsageError: there is no run, or its family has to be named.
+      UsageError: there is no run or no such pretrained agent, or its family has to be named.
       RunError: it has no checkpoint yet, or none that is whole, or the engine cannot run here.
     """
+    if str(path).startswith(pretrained.PREFIX):
+        name = str(path).removeprefix(pretrained.PREFIX)
+        trained = _from_file(pretrained.find(name), family, engine)
+        return replace(trained, name=str(path), directory=pretrained.results(name))
     return (_from_file if path.is_file() else _from_run)(path, family, engine)
 
 

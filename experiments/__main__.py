@@ -98,7 +98,13 @@ def report(words: list[str]) -> None:
     command.report(words)
 
 
-COMMANDS = {"list": list_all, "reproduce": reproduce, "report": report}
+def publish(words: list[str]) -> None:
+    from experiments.publish import main  # which waits for the policy's physics
+
+    main(words)
+
+
+COMMANDS = {"list": list_all, "reproduce": reproduce, "report": report, "publish": publish}
 
 
 def main(arguments: list[str] | None = None) -> int:

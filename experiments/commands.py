@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
+from ear_jax.config import Config, flat, preset_config
 from experiments.inventory import Job
 from experiments.paper import Analysis
 
@@ -20,3 +22,15 @@ def train_words(job: Job) -> list[str]:
 def analysis_words(job: Job, analysis: Analysis) -> list[str]:
     """The `ear` command that makes an analysis of a job's run."""
     return [analysis.command, str(RUNS / job.name), *analysis.options, "--json"]
+
+
+def command_line(config: Config) -> str:
+    """The `ear train` with these settings: what differs from today's preset is a flag; the engine is left to choose."""
+    words = ["ear", "train", config.family]
+    usual = {**flat(preset_config(config.family, config.preset, config.agent)), "preset": "fast", "agent": "ear"}
+    for name, value in flat(config).items():
+        if value != usual[name] and name != "engine":
+            values = value if isinstance(value, tuple) else [value]
+            words.append(f"--{name.replace('_', '-')}")
+            words += [f"{one:g}" if isinstance(one, float) else str(one) for one in values]
+    return shlex.join(words)

@@ -14,9 +14,9 @@ PACKAGE = Path(ear_jax.__file__).parent
 LAYERS = [
     {"errors", "quiet", "stopping"},
     {"records", "manifest", "lock", "safetensors", "leaves", "tasks", "config", "physics", "networks", "policy"},
-    {"runtime", "terminal", "checkpoint", "export", "directory", "failure", "report", "ltes"},
+    {"runtime", "terminal", "checkpoint", "export", "directory", "failure", "report", "ltes", "pretrained"},
     {"envs", "agents", "stage"},
-    {"grid", "codes"},
+    {"grid", "codes", "seeds"},
     {"cem"},
     {"rollout", "replay"},
     {"losses"},
@@ -53,7 +53,7 @@ def test_imports_go_one_way():
             assert RANK[other] < RANK[mine], f"{path.name} may not import {other}"
 
 
-def test_reports_do_not_import_jax():
-    code = "import sys, ear_jax.records, ear_jax.report.figures; print('jax' in sys.modules)"
+def test_reports_and_the_list_of_pretrained_agents_do_not_import_jax():
+    code = "import sys, ear_jax.records, ear_jax.report.figures, ear_jax.cli.pretrained; print('jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -81,6 +81,16 @@ def test_first_adam_step_is_the_learning_rate(program, begun):
     assert all(np.isfinite(value).all() for value in watched.values())
 
 
+def test_the_step_size_falls_evenly_to_a_tenth(program):
+    """Under a gradient that stays the same, Adam moves by the step size."""
+    optimiser = bandit_program(lr_decay=4).learner.optimiser
+    state, moves = optimiser.init(jnp.zeros(1)), []
+    for _ in range(6):
+        move, state = optimiser.update(jnp.ones(1), state)
+        moves.append(-float(move[0]))
+    np.testing.assert_allclose(moves, 1e-2 * np.array([1, 0.775, 0.55, 0.325, 0.1, 0.1]), rtol=1e-3)
+
+
 def test_target_critics_follow_by_tau(program, begun):
     before, after, _ = one_update(program, begun)
     for old, target, new in zip(

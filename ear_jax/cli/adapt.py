@@ -27,7 +27,7 @@ class AdaptCommand:
     """Search the codes of tasks the policy was never trained on, by the cross-entropy method."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory, or an exported file."""
+    """The run directory, an exported file, or pretrained:NAME."""
     target: tuple[str, ...] = ()
     """The tasks, as in 3.6; by default the family's adaptation tasks."""
     zero_shot: bool = False

@@ -28,7 +28,7 @@ class ComposeCommand:
     """Do two tasks of different kinds at once: a grid of blends of their LTEs, f(β Z₁ + (1 − β) Z₂)."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory, or an exported file."""
+    """The run directory, an exported file, or pretrained:NAME."""
     between: tuple[str, str]
     """Two tasks it was trained on, as in walk stand, or LTEs saved by `ear adapt --save`."""
     beta: tuple[float, ...] = BETAS

@@ -26,7 +26,7 @@ class EvaluateCommand:
     """Play a run's newest policy on its training tasks, or under any LTE, without exploration."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory, or an exported file."""
+    """The run directory, an exported file, or pretrained:NAME."""
     episodes: int = 3
     """Episodes per task."""
     lte: tuple[str, ...] = ()

@@ -22,7 +22,7 @@ class ExportCommand:
     """Write a run's newest policy to one file, which every command takes that takes a run. It has no replay."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory."""
+    """The run directory, an exported file, or pretrained:NAME."""
     file: tyro.conf.Positional[Path]
     """The file, FILE.safetensors, which must not be there yet."""
     family: str | None = None

@@ -29,7 +29,7 @@ class InterpolateCommand:
     """Do what lies between two trained tasks, or beyond them, with no training: f(β Z₁ + (1 − β) Z₂)."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory, or an exported file."""
+    """The run directory, an exported file, or pretrained:NAME."""
     between: tuple[str, str] | None = None
     """Two tasks it was trained on, as in 2 3, or LTEs saved by `ear adapt --save`."""
     all_pairs: bool = False

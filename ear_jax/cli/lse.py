@@ -22,7 +22,7 @@ class LseCommand:
     """Compare what the policy's state encoder says along a gait with the raw state: main directions and periodicity."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory, or an exported file."""
+    """The run directory, an exported file, or pretrained:NAME."""
     task: str | None = None
     """A task it was trained on, as in 2; by default the middle one."""
     seed: int = 0

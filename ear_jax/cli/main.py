@@ -20,7 +20,11 @@ COMMANDS = {
     "render": ("ear_jax.cli.render", "film a policy, and draw the robot's way as a stop-motion strip"),
     "export": ("ear_jax.cli.export", "write a run's policy to one file that loads anywhere"),
     "families": ("ear_jax.cli.families", "list the families of tasks"),
-    "demo": ("ear_jax.cli.demo", "train a small agent here and now and see it run at commanded speeds"),
+    "pretrained": ("ear_jax.cli.pretrained", "list the trained agents that ship with the package"),
+    "demo": (
+        "ear_jax.cli.demo",
+        "train a small agent here and now and see it run; or see one that ships (--pretrained)",
+    ),
     "doctor": ("ear_jax.cli.doctor", "say what this installation is and whether it can work"),
 }
 

@@ -23,7 +23,7 @@ class MapCommand:
     """Roll out codes spread over the sphere and draw what each makes the robot do."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory, or an exported file."""
+    """The run directory, an exported file, or pretrained:NAME."""
     places: int = 2000
     """Codes."""
     episodes: int = 1

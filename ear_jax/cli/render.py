@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import tyro
 
-from ear_jax import ltes
+from ear_jax import ltes, records
 from ear_jax.cli.arguments import parse
 from ear_jax.codes import blend, slerp
 from ear_jax.envs import Family, find_task
@@ -36,7 +36,7 @@ class RenderCommand:
     """Show what the policy does under tasks it was trained on, under a code, or between two tasks."""
 
     run: tyro.conf.Positional[Path]
-    """The run directory, or an exported file."""
+    """The run directory, an exported file, or pretrained:NAME."""
     task: tuple[str, ...] = ()
     """Tasks it was trained on, as in 2 or 1 2 3."""
     lte: tuple[str, ...] = ()
@@ -149,8 +149,7 @@ def _file_name(command: RenderCommand, scenes: list[Scene]) -> str:
 
 def _draw(run: Path, name: str, family: Family, scenes: list[Scene], trajectories: list[Trajectory]) -> dict[str, Path]:
     """Writes strip and films; without OpenGL only the strip, as sticks, and then raises RunError."""
-    figures, videos = run / "figures", run / "videos"
-    figures.mkdir(exist_ok=True)
+    figures, videos = records.folder(run / "figures"), records.folder(run / "videos")
     labels = [_label(family, *pair) for pair in zip(scenes, trajectories, strict=True)]
     strip = arrange(family.model, trajectories, labels, family.dt)
     path = figures / f"strip_{name}.png"
@@ -162,7 +161,6 @@ def _draw(run: Path, name: str, family: Family, scenes: list[Scene], trajectorie
     except RunError as error:
         draw_strip(path, strip.panels, strip.bounds, strip.note)
         raise RunError(f"{error}; without it there is {path}, and no film") from None
-    videos.mkdir(exist_ok=True)
     files = {"strip": path, "gif": write_gif(videos / f"{name}.gif", pictures, seconds)}
     film_mp4 = write_mp4(videos / f"{name}.mp4", pictures, seconds)
     if film_mp4:

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shlex
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from ear_jax import records
-from ear_jax.config import Config, flat, preset_config
+from ear_jax.config import Config, flat, from_dict, preset_config
 from ear_jax.errors import RunError
 from experiments import inventory
-from experiments.commands import train_words
-from experiments.inventory import BUDGET, Job
+from experiments.commands import command_line
+from experiments.inventory import BUDGET
 from experiments.paper import Experiment, Method
 
 Key = tuple[str, str, str]  # family, agent, preset with its ablations
@@ -33,27 +32,30 @@ class Run:
     def last(self) -> dict[str, Any]:
         return self.rows[-1]
 
-    @property
+    @cached_property
     def config(self) -> Config:
-        """What its preset is today, with this run's seed and minutes."""
-        made = self.made["config"]
-        config = preset_config(made["family"], made["preset"], made["agent"])
-        return dataclasses.replace(config, seed=made["seed"], minutes=made.get("minutes"))
+        """Its settings; those that are no more are left out, and those that came later had their defaults."""
+        known = dataclasses.asdict(Config(family=""))
+
+        def keep(tree: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+            kept = {name: value for name, value in tree.items() if name in known}
+            return {name: keep(one, known[name]) if isinstance(one, dict) else one for name, one in kept.items()}
+
+        return from_dict(keep(self.made["config"], known))
 
     @property
     def command(self) -> str:
-        """The command that trained it; with several seeds, all of them."""
-        seeds = self.made["config"]["seeds"]
-        together = ["--seeds", str(seeds)] if seeds > 1 else []
-        return shlex.join(["ear", *train_words(Job(self.config, ())), *together])
+        """What trains it with today's presets, all its seeds together."""
+        return command_line(self.config)
 
     @cached_property
     def changes(self) -> dict[str, Any]:
         """Settings that its preset has otherwise today, as this run had them; not what only bounds or watches a run."""
+        today = flat(preset_config(self.config.family, self.config.preset, self.config.agent))
         return {
             name: value
-            for name, value in _settings(self.made["config"]).items()
-            if name.split(".")[0] not in BUDGET and value != flat(self.config)[name]
+            for name, value in flat(self.config).items()
+            if name.split(".")[0] not in (*BUDGET, "seed") and value != today[name]
         }
 
     def document(self, name: str) -> dict[str, Any] | None:
@@ -79,10 +81,10 @@ class Found:
         self.preset = preset
         self._runs: dict[Key, dict[int, Run]] = {}
         for run in _all_runs():
-            made = run.made["config"]
-            if made["preset"].split("+")[0] != preset.split("+")[0] or _other_tasks(run):
+            config = run.config
+            if config.preset.split("+")[0] != preset.split("+")[0] or _other_tasks(run):
                 continue
-            seeds = self._runs.setdefault((made["family"], made["agent"], made["preset"]), {})
+            seeds = self._runs.setdefault((config.family, config.agent, config.preset), {})
             if run.seed not in seeds or seeds[run.seed].last["updates"] < run.last["updates"]:
                 seeds[run.seed] = run
 
@@ -115,20 +117,6 @@ def _all_runs() -> list[Run]:
 def _other_tasks(run: Run) -> bool:
     """Whether a run was scored otherwise than its preset's: other tasks, or another reward."""
     return any(name == "tasks" or name.startswith("env.") for name in run.changes)
-
-
-def _settings(tree: dict[str, Any]) -> dict[str, Any]:
-    """Recorded settings by their flat names; what is absent had its default, and what is no more is left out."""
-    known = flat(Config(family=""))
-
-    def walk(tree: dict[str, Any], where: str) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for name, value in tree.items():
-            found |= walk(value, f"{where}{name}.") if isinstance(value, dict) else {where + name: value}
-        return found
-
-    given = {name: tuple(value) if isinstance(value, list) else value for name, value in walk(tree, "").items()}
-    return {name: given.get(name, default) for name, default in known.items()}
 
 
 def _read(path: Any) -> dict[str, Any]:

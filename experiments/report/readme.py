@@ -13,6 +13,7 @@ from experiments.report.blocks import Table
 from experiments.report.found import Found, Run
 from experiments.report.markdown import table
 from experiments.report.measures import mean_return, paper_budget, paper_counts, paper_return, successes, unit
+from experiments.report.sections import machine
 from experiments.report.words import MISSING, NAMES, count, number, printed, seeds, span, spread
 
 README = Path(__file__).parents[2] / "README.md"
@@ -41,9 +42,9 @@ def rewrite(found: Found) -> None:
 def results(found: Found) -> str:
     """What stands between the markers: EAR's returns, interpolation and adaptation, and notes on the runs."""
     rows = [row for family in FAMILIES for row in _family(family, found.runs(family))]
-    notes = [note for family in FAMILIES for run in found.runs(family) for note in _notes(run)]
-    parts = [table(Table("", ("what", "command", "here", "the paper"), rows)), *notes]
-    return "\n" + "\n\n".join(parts) + "\n\n"
+    runs = [run for family in FAMILIES for run in found.runs(family)]
+    parts = [table(Table("", ("what", "command", "here", "the paper"), rows)), *_machines(runs), *map(_note, runs)]
+    return "\n" + "\n\n".join(filter(None, parts)) + "\n\n"
 
 
 def _family(family: str, runs: list[Run]) -> list[list[str]]:
@@ -53,7 +54,7 @@ def _family(family: str, runs: list[Run]) -> list[list[str]]:
     reached = f"{spread([mean_return(run) for run in runs])} ({seeds(runs)}; {_spent([run.last for run in runs])})"
     steps, updates = map(count, paper_budget(family))
     theirs = f"{printed(paper)} (3 seeds; {steps} env steps, {updates} updates)"
-    rows = [[f"{NAMES[family]}, return", f"`{_any_seed(runs)}`", reached, theirs], *_passed(family, runs)]
+    rows = [[f"{NAMES[family]}, return", f"`{runs[0].command}`", reached, theirs], *_passed(family, runs)]
     for what, words in SUCCESS.items():
         counted = successes(runs, what)
         if counted:
@@ -80,11 +81,6 @@ def _spent(rows: list[dict[str, Any]]) -> str:
     return f"{minutes} min, {steps} env steps, {updates} updates"
 
 
-def _any_seed(runs: list[Run]) -> str:
-    """The command of the first run, without its seed where that is the default."""
-    return runs[0].command.replace(" --agent ear", "").replace(" --preset fast", "").replace(" --seed 0", "")
-
-
 def _on_run(analysis: Analysis) -> str:
     return f"`{' '.join(['ear', analysis.command, 'RUN', *analysis.options])}`"
 
@@ -98,14 +94,25 @@ def _adapted(family: str, runs: list[Run]) -> list[list[str]]:
         value = f"{number(float(np.mean(searched)))} on {len(searched)} unseen tasks"
         rows.append(["… return after 3 epochs of search", _on_run(ADAPTATION), value, "no number; converged by then"])
     if errors:
-        value = f"{' and '.join(', '.join(number(error, 2) for error in errors).rsplit(', ', 1))} {unit(family)}"
-        rows.append(["… error on unseen tasks without search", _on_run(ADAPTATION), value, MISSING])
+        mean = number(float(np.mean(errors)), 2)
+        value = f"{mean} {unit(family)} on {len(errors)} unseen tasks, at most {number(max(errors), 2)}"
+        rows.append(["… error without search, mean", _on_run(ADAPTATION), value, MISSING])
     return rows
 
 
-def _notes(run: Run) -> list[str]:
-    """Of a run whose preset was another then."""
+def _machines(runs: list[Run]) -> list[str]:
+    """What each family was trained on, in a sentence; none without runs."""
+    families: dict[str, list[str]] = {}
+    for run in runs:
+        families.setdefault(machine(run), []).append(NAMES[run.config.family])
+    said = "; ".join(f"{', '.join(dict.fromkeys(names))} on {where}" for where, names in families.items())
+    return [f"Trained: {said}."] if said else []
+
+
+def _note(run: Run) -> str:
+    """Of a run whose preset is another today; otherwise empty."""
     if not run.changes:
-        return []
+        return ""
     settings = ", ".join(f"`{name}` {value}" for name, value in run.changes.items())
-    return [f"`{run.name}` was trained at commit {run.made['commit']}, when its preset still had {settings}."]
+    preset, commit = run.config.preset, run.made["commit"]
+    return f"`{run.name}`, of commit {commit}, has settings that `{preset}` has otherwise today: {settings}."

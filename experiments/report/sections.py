@@ -92,17 +92,22 @@ def _made(document: dict[str, Any] | None) -> list[str]:
     """By what an analysis was made, and from what commit and where."""
     if document is None:
         return ["not made yet", *[MISSING] * 5]
-    machine = document.get("machine", {}).get("processor", MISSING)
+    where = document.get("machine", {}).get("processor", MISSING)
     command = document.get("command", "command not recorded")
-    return [command, *[MISSING] * 3, document.get("commit") or MISSING, machine]
+    return [command, *[MISSING] * 3, document.get("commit") or MISSING, where]
 
 
 def facts(run: Run) -> list[str]:
     """Budget, commit and machine of a run."""
-    machine, last = run.made["machine"], run.last
-    cores = f"{machine['cores']} core{'s'[: machine['cores'] > 1]}"
+    last = run.last
     spent = [count(last["env_steps"]), count(last["updates"]), number(last["seconds"] / 60)]
-    return [*spent, run.made["commit"] or MISSING, f"{machine['processor']}, {cores}"]
+    return [*spent, run.made["commit"] or MISSING, machine(run)]
+
+
+def machine(run: Run) -> str:
+    """What trained a run."""
+    where = run.made["machine"]
+    return f"{where['processor']}, {where['cores']} core{'s'[: where['cores'] > 1]}"
 
 
 def all_runs(found: Found) -> Section:
@@ -111,7 +116,7 @@ def all_runs(found: Found) -> Section:
         [
             run.name,
             f"seed {run.seed}",
-            f"{count(run.last['epoch'])} of {count(run.made['config']['epochs'])}",
+            f"{count(run.last['epoch'])} of {count(run.config.epochs)}",
             *facts(run),
             ", ".join(f"{name} {value}" for name, value in run.changes.items()) or "none",
         ]

@@ -1,0 +1,100 @@
+"""The card of an agent that ships: how it was trained, what it reaches and what it does not, computed from a record."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ear_jax.envs import Family
+from ear_jax.errors import RunError
+from ear_jax.trained import Trained
+from experiments.commands import command_line
+
+CURVE_POINTS = 20
+
+
+def make_card(
+    name: str, trained: Trained, rows: list[dict[str, Any]], evaluation: dict[str, Any] | None
+) -> dict[str, Any]:
+    """What a person should know of an agent, but for its file's size and checksum.
+
+    Args:
+      name: what it is called.
+      trained: its policy, of one seed.
+      rows: the run's metrics.
+      evaluation: what `ear evaluate --json` printed of it, if anything.
+
+    Raises:
+      RunError: the metrics have no row of the policy's epoch.
+    """
+    config, about, family = trained.program.config, trained.about, trained.program.family
+    rows = [row for row in rows if row["epoch"] <= trained.epoch]
+    if not rows or rows[-1]["epoch"] != trained.epoch:
+        raise RunError(f"{trained.name} is of epoch {trained.epoch}, and metrics.jsonl beside it has no row of that")
+    last = rows[-1]
+    if evaluation:
+        found, episodes, source = evaluation["seeds"][0], evaluation["episodes"], "evaluation.json"
+        mean_return, tasks = found["mean_return"], [judge(family, task, found["tasks"]) for task in found["tasks"]]
+    else:
+        mean_return, episodes, source = last["mean_return"], config.log.episodes, "metrics.jsonl, last row"
+        tasks = [{"name": task, "return": value} for task, value in last["returns"].items()]
+    return {
+        "name": name,
+        "family": config.family,
+        "agent": config.agent,
+        "preset": config.preset,
+        "command": command_line(config),
+        "env_steps": last["env_steps"],
+        "updates": last["updates"],
+        "minutes": round(last["seconds"] / 60, 1),
+        "mean_return": mean_return,
+        "returns_from": source,
+        "episodes": episodes,  # a task
+        "limits": limits(tasks, episodes, family.unit),
+        "tasks": tasks,
+        "learning_curve": thinned(rows),
+        **{key: about[key] for key in ("engine", "machine", "versions", "commit")},
+    }
+
+
+def judge(family: Family, task: dict[str, Any], all_tasks: list[dict[str, Any]]) -> dict[str, Any]:
+    """A task of an evaluation, and whether it is met.
+
+    It is where every episode lasts and, if it commands something, what is achieved is nearer to its target than half
+    way to the next task's.
+    """
+    kept = {"name": task["name"], "target": task["target"], "return": task["return_mean"], "failures": task["failures"]}
+    if task["target"] is None:
+        return {**kept, "met": not task["failures"]}
+    achieved = task["outcome"][family.commanded]
+    others = [one["target"] for one in all_tasks if one["target"] not in (None, task["target"])]
+    gap = min((abs(family.difference(other, task["target"])) for other in others), default=float("inf"))
+    error = abs(family.difference(achieved, task["target"]))
+    return {**kept, "achieved": achieved, "error": error, "met": error < gap / 2 and not task["failures"]}
+
+
+def limits(tasks: list[dict[str, Any]], episodes: int, unit: str) -> str:
+    """Which tasks an agent does not meet, in a sentence; `episodes` a task were played."""
+    if "met" not in tasks[0]:
+        return "It has not been evaluated: which tasks it meets is not known."
+    missed = [task for task in tasks if not task["met"]]
+    off = ", ".join(f"{task['achieved']:.2f} for {task['name']}" for task in missed if not task["failures"])
+    over = ", ".join(
+        f"{task['name']} ({task['failures']} of {episodes} episodes)" for task in missed if task["failures"]
+    )
+    met = f"Meets {len(tasks) - len(missed)} of {len(tasks)} tasks"
+    parts = [met, *([f"achieves ({unit}) {off}"] if off else []), *([f"ends early in {over}"] if over else [])]
+    return "; ".join(parts) + "."
+
+
+def thinned(rows: list[dict[str, Any]]) -> list[dict[str, float]]:
+    """At most `CURVE_POINTS` rows of the metrics, evenly spaced up to the last."""
+    every = -(-len(rows) // CURVE_POINTS)
+    return [
+        {
+            "minutes": round(row["seconds"] / 60, 2),
+            "env_steps": row["env_steps"],
+            "updates": row["updates"],
+            "mean_return": round(row["mean_return"], 2),
+        }
+        for row in rows[::-every][::-1]
+    ]

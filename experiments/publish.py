@@ -1,0 +1,104 @@
+"""`python -m experiments publish RECORD`: makes a record's policy one of the agents that ship with the package."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from ear_jax import pretrained, records
+from ear_jax.cli.arguments import parse
+from ear_jax.errors import RunError, UsageError
+from ear_jax.trained import Trained, load
+from experiments.card import make_card
+
+FILE_BYTES, ALL_BYTES = 2_000_000, 10_000_000  # the largest file, and all of them together
+
+
+@dataclass(frozen=True)
+class PublishCommand:
+    """Make a record's policy one of the agents that ship with the package, and write its card."""
+
+    record: tyro.conf.Positional[Path]
+    """The record's directory: policy.safetensors, metrics.jsonl and, so that its limits are known, evaluation.json."""
+    name: str | None = None
+    """What to call it; by default its family, and its agent where that is not ear. An older one gives way."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(PublishCommand, words, "publish", program="python -m experiments")
+    card = publish(command.record, command.name)
+    print(f"{pretrained.PREFIX}{card['name']}: {card['bytes']:,} bytes, mean return {card['mean_return']:.1f}")
+    print(card["limits"])
+
+
+def publish(record: Path, name: str | None = None) -> dict[str, Any]:
+    """Copies a record's policy into the package and writes its card.
+
+    Args:
+      record: the record's directory.
+      name: what to call it; by default its family, and its agent where that is not ear.
+
+    Returns:
+      The card.
+
+    Raises:
+      UsageError: no such record, a name that is none, or a policy of several seeds or of a family that is not ours.
+      RunError: it lacks something, its parts are not of one moment, or it is too large.
+    """
+    policy = record / "policy.safetensors"
+    if not record.is_dir():
+        raise UsageError(f"{record} is no record: there is no such directory")
+    for path, source in ((policy, "`ear export`"), (record / "metrics.jsonl", "`ear train`")):
+        if not path.is_file():
+            raise RunError(f"{record} has no {path.name}, which {source} writes")
+    trained = load(policy)
+    config = trained.program.config
+    if config.seeds != 1:
+        raise UsageError(f"{policy} holds {config.seeds} seeds; an agent that ships has one")
+    name = name or (config.family if config.agent == "ear" else f"{config.family}-{config.agent}")
+    if not re.fullmatch(r"[a-z][a-z0-9-]*", name):
+        raise UsageError(f"--name {name} cannot name an agent; use small letters, digits and -")
+    check_size(policy, name)
+    card = make_card(name, trained, records.read_rows(record / "metrics.jsonl"), read_evaluation(record, trained))
+    content = policy.read_bytes()
+    card |= {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    file = pretrained.FOLDER / f"{name}.safetensors"
+    try:
+        file.write_bytes(content)
+    except OSError as error:
+        raise RunError(f"cannot write {file}: {error.strerror}") from None
+    records.write_json(file.with_suffix(".json"), card)
+    return card
+
+
+def check_size(policy: Path, name: str) -> None:
+    """Raises RunError where a policy would be too large to ship as `name`, alone or with the others there are."""
+    size = policy.stat().st_size
+    if size > FILE_BYTES:
+        raise RunError(f"{policy} has {size:,} bytes; an agent that ships has at most {FILE_BYTES:,}")
+    others = [path for path in pretrained.FOLDER.glob("*.safetensors") if path.stem != name]
+    total = size + sum(path.stat().st_size for path in others)
+    if total > ALL_BYTES:
+        raise RunError(f"with {policy} the agents would have {total:,} bytes; all together have at most {ALL_BYTES:,}")
+
+
+def read_evaluation(record: Path, trained: Trained) -> dict[str, Any] | None:
+    """The record's evaluation, if there is one; raises RunError where it is of another policy or cannot be read."""
+    path = record / "evaluation.json"
+    if not path.is_file():
+        return None
+    try:
+        document = json.loads(path.read_text())
+        made_at = document["updates"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RunError(f"{path} cannot be read: {error}") from None
+    updates = trained.epoch * trained.program.config.sac.updates
+    if made_at != updates:
+        raise RunError(f"{path} is of {made_at:,} updates, and the policy of {updates:,}; evaluate it anew")
+    return document
