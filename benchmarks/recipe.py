@@ -21,20 +21,35 @@ LINES = ("-", "--", ":", "-.")
 
 
 def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """Return against updates, a line a trial."""
-    for index, row in enumerate(rows):
+    """Return against updates, a line a trial; those soon given up in grey."""
+    last = [row["curve"][-1][0] for row in rows]
+    shown = [row for row, updates in zip(rows, last, strict=True) if updates >= 0.3 * max(last)]
+    for row in rows:
         updates, _, _, returns = np.array(row["curve"]).T
-        style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)]}
-        axes.plot(updates / 1000, returns, label=row["trial"], **style)
-    axes.set(xlabel="updates (thousands)", ylabel="return, mean over tasks", title=rows[0]["family"], xlim=(0, 30))
+        if row in shown:
+            index = shown.index(row)
+            style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)], "zorder": 3}
+            axes.plot(updates / 1000, returns, label=row["trial"], **style)
+        else:
+            axes.plot(updates / 1000, returns, color="0.7", linewidth=0.8)
+    if len(shown) < len(rows):
+        axes.plot([], [], color="0.7", linewidth=0.8, label="given up early")
+    axes.set(xlabel="updates (thousands)", ylabel="return, mean over tasks", title=rows[0]["family"], ylim=_upper(rows))
     axes.legend(frameon=False, fontsize=7)
+
+
+def _upper(rows: list[dict[str, Any]]) -> tuple[float, float]:
+    """From the median of the first returns up: below, all trials look alike."""
+    first = float(np.median([row["curve"][0][3] for row in rows]))
+    best = max(point[3] for row in rows for point in row["curve"])
+    return first + 0.35 * (best - first), best + 0.03 * (best - first)
 
 
 def main(picture: Path = PICTURE) -> None:
     rows = records.read_rows(RESULTS / "recipe.jsonl")
     families = list(dict.fromkeys(row["family"] for row in rows))
     with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(1, len(families), figsize=(3.6 * len(families), 3.2), layout="constrained")
+        figure, grid = plt.subplots(1, len(families), figsize=(4.4 * len(families), 4.4), layout="constrained")
         for axes, family in zip(np.atleast_1d(grid), families, strict=True):
             draw(axes, [row for row in rows if row["family"] == family])
         figure.savefig(picture)
