@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -38,6 +39,7 @@ class Compiled:
     begin: Callable[[jax.Array], TrainState]
     chunk: Callable[[TrainState, jax.Array], tuple[TrainState, train.Metrics]]
     evaluate: Callable[[Params, jax.Array], Episodes]
+    state: TrainState  # of which shapes
 
 
 def train_run(config: Config, directory: Path) -> None:
@@ -76,13 +78,19 @@ def train_run(config: Config, directory: Path) -> None:
         records.keep_rows(log, epoch)
         say(header(program, directory))
         with phase("compiling"):
-            compiled = compile_program(program, keys)
+            compiled = compile_program(program, keys, fresh=step is None)
         state = _continue(program, compiled, keys, step) if step else _begin(compiled, keys)
         _train_blocks(program, compiled, state, directory, about, lambda: spent + time.perf_counter() - began, request)
 
 
-def compile_program(program: Program, keys: jax.Array) -> Compiled:
-    """Compiles everything a run calls; `keys` [seeds] only for its shape."""
+def compile_program(program: Program, keys: jax.Array, fresh: bool = True) -> Compiled:
+    """Compiles everything a run calls, side by side.
+
+    Args:
+      program: what to train.
+      keys: of the seeds, [seeds].
+      fresh: whether the run has yet to begin; otherwise what begins one is left alone.
+    """
     seeds = len(keys)
 
     def evaluate(policy: Params, key: jax.Array) -> Episodes:
@@ -91,11 +99,13 @@ def compile_program(program: Program, keys: jax.Array) -> Compiled:
     begin = over_seeds(partial(train.begin, program), seeds, (0,))
     chunk = over_seeds(partial(train.train_chunk, program), seeds, (0, None), donate_argnums=0)
     state = jax.eval_shape(begin, keys)
-    return Compiled(
-        begin=begin,
-        chunk=chunk.lower(state, jax.ShapeDtypeStruct((), jnp.int32)).compile(),
-        evaluate=over_seeds(evaluate, seeds, (0, 0)),
-    )
+    play = over_seeds(evaluate, seeds, (0, 0))
+    lowered = [chunk.lower(state, jax.ShapeDtypeStruct((), jnp.int32)), play.lower(state.learner.policy, keys)]
+    if fresh:
+        lowered.append(begin.lower(keys))
+    with ThreadPoolExecutor() as pool:
+        chunk, play, *began = pool.map(lambda one: one.compile(), lowered)
+    return Compiled(began[0] if fresh else begin, chunk, play, state)
 
 
 def _begin(compiled: Compiled, keys: jax.Array) -> TrainState:
@@ -105,7 +115,7 @@ def _begin(compiled: Compiled, keys: jax.Array) -> TrainState:
 
 def _continue(program: Program, compiled: Compiled, keys: jax.Array, step: Step) -> TrainState:
     """The state a step holds; its replay, where it was left out, filled anew by the policy as it stands."""
-    like = jax.eval_shape(compiled.begin, keys)
+    like = compiled.state
     differences = _differences(step.about, program)
     if differences:
         say(f"warning: {'; '.join(differences)}: what follows may differ in the last bit")
