@@ -156,6 +156,7 @@ _FAST: dict[str, Any] = {
     },
     "sac": {
         "lr": 1e-3,
+        "lr_decay": 152_000,  # all of its updates
         "discount": 0.98,
         "batch_size": 480,
         "updates": 400,
@@ -163,7 +164,7 @@ _FAST: dict[str, Any] = {
         "initial_temperature": 0.01,
     },
     "collect": {"envs": 8, "steps": 25, "stagger": True},
-    "replay": {"share_experience": True, "capacity": 100_000},
+    "replay": {"share_experience": True, "capacity": 200_000},
 }
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
@@ -172,7 +173,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         **_FAST,
         "epochs": 200,
         "network": {**_FAST["network"], "width": 128},
-        "sac": {**_FAST["sac"], "batch_size": 240, "updates": 200},
+        "sac": {**_FAST["sac"], "batch_size": 240, "updates": 200, "lr_decay": 0},
         "replay": {"share_experience": True, "capacity": 300_000},
     },
 }
@@ -183,7 +184,7 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("paper", "hopper-vel"): _PAPER_LEGGED,
     ("paper", "walker-vel"): _PAPER_LEGGED,
     ("paper", "ant-dir"): {"epochs": 10_000, "sac": {"batch_size": 1920}, "replay": {"capacity": 1_200_000}},
-    ("fast", "ant-dir"): {"replay": {"capacity": 240_000}},  # the last 50 epochs, as of the others
+    ("fast", "ant-dir"): {"replay": {"capacity": 480_000}},  # the last 100 epochs, as of the others
     # Their step is 8 ms, a sixth of the others': at 0.98 nothing past 0.4 s, less than a hop, would count.
     ("fast", "hopper-vel"): {"sac": {"discount": 0.99}},
     ("fast", "walker-vel"): {"sac": {"discount": 0.99}},
