@@ -19,9 +19,16 @@ def train_words(job: Job) -> list[str]:
     return words if config.minutes is None else [*words, "--minutes", f"{config.minutes:g}"]
 
 
+def export_words(job: Job) -> list[str]:
+    """The `ear` command that puts a run's policy into its record."""
+    return ["export", str(RUNS / job.name), str(job.policy)]
+
+
 def analysis_words(job: Job, analysis: Analysis) -> list[str]:
-    """The `ear` command that makes an analysis of a job's run."""
-    return [analysis.command, str(RUNS / job.name), *analysis.options, "--json"]
+    """The `ear` command that makes an analysis of a job's run or, where that is not there, of its record's policy."""
+    run = RUNS / job.name
+    holder = job.policy if job.policy.is_file() and not run.is_dir() else run
+    return [analysis.command, str(holder), *analysis.options, "--json"]
 
 
 def command_line(config: Config) -> str:

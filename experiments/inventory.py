@@ -1,6 +1,7 @@
 """What of the paper is there: the records of runs, told apart by their settings. Imports no JAX.
 
-A record is a run directory without its checkpoints: `config.json`, `metrics.jsonl`, and a JSON document an analysis.
+A record is a run directory without its checkpoints: `config.json`, `metrics.jsonl`, the policy as `ear export` writes
+it, and a JSON document an analysis.
 """
 
 from __future__ import annotations
@@ -32,6 +33,11 @@ class Job:
     @property
     def record(self) -> Path:
         return RECORDS / self.name
+
+    @property
+    def policy(self) -> Path:
+        """Where the record has what the run has learnt."""
+        return self.record / "policy.safetensors"
 
 
 def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes: float | None = None) -> list[Job]:

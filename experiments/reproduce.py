@@ -17,8 +17,8 @@ from ear_jax.cli.main import COMMANDS
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError
 from ear_jax.stopping import Stopped
-from experiments.commands import RUNS, analysis_words, train_words
-from experiments.inventory import Job, is_whole, missing
+from experiments.commands import RUNS, analysis_words, export_words, train_words
+from experiments.inventory import Job, is_trained, is_whole, missing
 
 
 def absent(job: Job) -> list[str]:
@@ -43,8 +43,8 @@ def plan(job: Job) -> list[str]:
     """The command lines that would make a job whole."""
     if is_whole(job):
         return []
-    steps = [train_words(job), *(analysis_words(job, one) for one in missing(job))]
-    return [shlex.join(["ear", *words]) for words in steps]
+    training = [] if _is_kept(job) else [train_words(job), export_words(job)]
+    return [shlex.join(["ear", *words]) for words in (*training, *(analysis_words(job, one) for one in missing(job)))]
 
 
 def make_whole(job: Job) -> None:
@@ -55,8 +55,10 @@ def make_whole(job: Job) -> None:
     """
     if is_whole(job):
         return
-    run_ear(train_words(job))
-    keep_training(job)
+    if not _is_kept(job):
+        run_ear(train_words(job))
+        keep_training(job)
+        run_ear(export_words(job))
     for analysis in missing(job):
         words = analysis_words(job, analysis)
         document = json.loads(run_ear(words))
@@ -66,11 +68,17 @@ def make_whole(job: Job) -> None:
         )
 
 
+def _is_kept(job: Job) -> bool:
+    """Whether the record has all that is needed of the run, wherever that was trained."""
+    return is_trained(job) and job.policy.is_file()
+
+
 def keep_training(job: Job) -> None:
     """Makes the record that of the run; documents of another run of that name go."""
     run, rows = RUNS / job.name, (RUNS / job.name / "metrics.jsonl").read_bytes()
     kept = job.record / "metrics.jsonl"
     if kept.is_file() and kept.read_bytes() == rows:
+        job.policy.unlink(missing_ok=True)  # of a process that was stopped while it wrote
         return
     shutil.rmtree(job.record, ignore_errors=True)
     job.record.mkdir(parents=True)

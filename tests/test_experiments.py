@@ -132,6 +132,8 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def run_ear(words: list[str]) -> str:
         asked.append(" ".join(words))
+        if words[0] == "export":
+            return str(Path(words[2]).write_bytes(b"policy"))
         if words[0] != "train":
             return json.dumps({"answer": len(asked)})
         job = next(job for job in ALL if reproduce.train_words(job) == words)
@@ -155,21 +157,34 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     runs = [f"ant-dir-ear-fast{ablation}-seed0" for ablation in ("", "+no-noise")]
     train, evaluate = "train ant-dir --agent ear --preset fast", "evaluate runs/{} --episodes 5 --json"
+    export = f"export runs/{{0}} {inventory.RECORDS}/{{0}}/policy.safetensors"
     assert workplace == [
         f"{train} --seed 0",
+        export.format(runs[0]),
         evaluate.format(runs[0]),
         f"{train}+no-noise --seed 0",
+        export.format(runs[1]),
         evaluate.format(runs[1]),
     ]
     document = json.loads((inventory.RECORDS / runs[0] / "evaluation.json").read_text())
-    assert (document["answer"], document["command"]) == (2, "ear " + workplace[1])
+    assert (document["answer"], document["command"]) == (3, "ear " + workplace[2])
     assert {"machine", "versions", "commit"} <= set(document)
     workplace.clear()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     assert workplace == []
     (inventory.RECORDS / runs[1] / "evaluation.json").unlink()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    assert [words.split()[0] for words in workplace] == ["train", "evaluate"]
+    assert workplace == [evaluate.format(runs[1])], "the run is there"
+
+
+def test_a_record_is_analysed_where_its_run_is_not(workplace, tmp_path):
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    record = inventory.RECORDS / "ant-dir-ear-fast-seed0"
+    (record / "evaluation.json").unlink()
+    shutil.rmtree(tmp_path / "runs")
+    workplace.clear()
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    assert workplace == [f"evaluate {record / 'policy.safetensors'} --episodes 5 --json"]
 
 
 def test_training_anew_drops_what_was_said_of_the_run_before(workplace):
@@ -206,16 +221,16 @@ def test_a_run_counts_by_its_settings_and_its_budget(workplace):
 def test_dry_run_prints_the_commands_and_writes_nothing(workplace, capsys, tmp_path):
     assert main(["reproduce", "table-4", "--preset", "paper", "--seeds", "2", "--minutes", "9", "--dry-run"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 2 * 5
+    assert len(lines) == 2 * 6
     assert lines[0] == "ear train halfcheetah-vel --agent ear --preset paper --seed 0 --minutes 9"
-    assert lines[2] == "ear interpolate runs/halfcheetah-vel-ear-paper-seed0 --between 2 3 --target 2.2 --json"
+    assert lines[3] == "ear interpolate runs/halfcheetah-vel-ear-paper-seed0 --between 2 3 --target 2.2 --json"
     assert (workplace, list(tmp_path.iterdir())) == ([], [])
 
 
 def test_what_cannot_be_run_yet_is_named_after_the_rest_has_run(workplace, monkeypatch, capsys):
     monkeypatch.delitem(reproduce.COMMANDS, "compose", raising=False)
     assert main(["reproduce", "table-10", "--seeds", "1"]) == 1
-    assert [words.split()[0] for words in workplace] == ["train"]
+    assert [words.split()[0] for words in workplace] == ["train", "export"]
     assert "table-10 cannot be whole without what is not there yet: `ear compose`" in capsys.readouterr().err
 
 
