@@ -14,9 +14,10 @@ import jax.numpy as jnp
 from benchmarks import common
 from benchmarks.update import filled
 from ear_jax import replay, runtime, train
-from ear_jax.config import Config, preset_config
+from ear_jax.config import Config
 from ear_jax.grid import Grid, Transition
 from ear_jax.learner import LearnerState
+from ear_jax.presets import preset_config
 from ear_jax.replay import Replay
 from ear_jax.rollout import act_with, rollout
 from ear_jax.train import Program, TrainState

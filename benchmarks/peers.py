@@ -22,7 +22,8 @@ import jax
 from benchmarks import common
 from benchmarks.update import filled, update_run
 from ear_jax import runtime, train
-from ear_jax.config import Config, preset_config
+from ear_jax.config import Config
+from ear_jax.presets import preset_config
 
 HERE = Path(__file__).resolve().parent
 PLACE = HERE / ".peers"

@@ -12,7 +12,7 @@ import jax
 from benchmarks import common
 from benchmarks.update import filled
 from ear_jax import checkpoint, runtime, train
-from ear_jax.config import preset_config
+from ear_jax.presets import preset_config
 
 
 def measure(options: argparse.Namespace, repeats: int) -> None:

@@ -20,8 +20,8 @@ from jax.extend.core import Jaxpr, jaxprs_in_params
 
 from benchmarks import common
 from ear_jax import runtime, train
-from ear_jax.config import preset_config
 from ear_jax.learner import Draws, LearnerState
+from ear_jax.presets import preset_config
 from ear_jax.replay import Replay
 from ear_jax.train import Program
 

@@ -1,6 +1,6 @@
 """Emergent action representations: one policy for many tasks, trained end to end in JAX on MuJoCo.
 
-    from ear_jax.config import preset_config
+    from ear_jax.presets import preset_config
     from ear_jax.run import train_run
 
     train_run(preset_config("halfcheetah-vel", "fast"), Path("runs/mine"))

@@ -1,4 +1,4 @@
-"""Settings by role, frozen and complete before JAX runs, and the presets as data."""
+"""Settings by role, frozen and complete before JAX runs."""
 
 from __future__ import annotations
 
@@ -142,115 +142,10 @@ class Config:
     checkpoint: CheckpointConfig = field(default_factory=CheckpointConfig)
 
 
-# What a preset changes in the defaults above, which are the paper's for HalfCheetah-Vel.
-_FAST: dict[str, Any] = {
-    "epochs": 380,
-    "network": {
-        "width": 256,
-        "encoder_layers": 1,
-        "decoder_layers": 2,
-        "critic_layers": 2,
-        "critic_layer_norm": True,
-        "standardise_obs": True,
-        "initialiser": "fan_in",
-    },
-    "sac": {
-        "lr": 1e-3,
-        "lr_decay": 152_000,  # all of its updates
-        "discount": 0.98,
-        "batch_size": 480,
-        "updates": 400,
-        "reward_scale": 0.1,
-        "initial_temperature": 0.01,
-    },
-    "collect": {"envs": 8, "steps": 25, "stagger": True},
-    "replay": {"share_experience": True, "capacity": 200_000},
-}
-PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {},
-    "fast": _FAST,
-    "smoke": {
-        **_FAST,
-        "epochs": 200,
-        "network": {**_FAST["network"], "width": 128},
-        "sac": {**_FAST["sac"], "batch_size": 240, "updates": 200, "lr_decay": 0},
-        "replay": {"share_experience": True, "capacity": 300_000},
-    },
-}
-
-# And what it changes for one family (the paper's table of hyperparameters).
-_PAPER_LEGGED = {"epochs": 5000}
-FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
-    ("paper", "hopper-vel"): _PAPER_LEGGED,
-    ("paper", "walker-vel"): _PAPER_LEGGED,
-    ("paper", "ant-dir"): {"epochs": 10_000, "sac": {"batch_size": 1920}, "replay": {"capacity": 1_200_000}},
-    ("fast", "ant-dir"): {"replay": {"capacity": 480_000}},  # the last 100 epochs, as of the others
-    # Their step is 8 ms, a sixth of the others': at 0.98 nothing past 0.4 s, less than a hop, would count.
-    ("fast", "hopper-vel"): {"sac": {"discount": 0.99}},
-    ("fast", "walker-vel"): {"sac": {"discount": 0.99}},
-    ("smoke", "halfcheetah-vel"): {"tasks": ("1", "2", "3")},
-    ("smoke", "hopper-vel"): {"tasks": ("0.4", "1", "1.6"), "sac": {"discount": 0.99}},
-    ("smoke", "walker-vel"): {"tasks": ("0.4", "1", "1.6"), "sac": {"discount": 0.99}},
-    ("smoke", "ant-dir"): {"tasks": ("0", "90", "180", "270")},
-    ("smoke", "halfcheetah-run-jump"): {"tasks": ("back-1", "back-3", "jump-5")},
-}
-
-# And for one agent: the authors' code of the baselines, and how far back a recurrent one reads.
-_RECURRENT = {"network": {"history": 8}}
-AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
-    ("paper", "multihead"): {
-        "network": {"decoder_layers": 3, "critic_layers": 3},
-        "sac": {"max_grad_norm": 1.0},
-    },
-    **{(preset, "ear-rnn"): _RECURRENT for preset in PRESETS},
-}
-
-# What a preset's name may go on with after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), and
-# the hidden layer that the authors' code has in the task encoder.
-ABLATIONS: dict[str, dict[str, Any]] = {
-    "no-noise": {"sac": {"lte_noise": 0.0}},
-    "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
-    "task-hidden": {"network": {"task_layers": 1}},
-}
-
-
-def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
-    """The configuration a preset stands for.
-
-    Args:
-      family: a family's name.
-      preset: `paper`, `fast` or `smoke`, alone or with ablations, as in `fast+no-noise+no-norm`.
-      agent: an agent's name.
-
-    Raises:
-      UsageError: no such preset or ablation, or an agent that has nothing to ablate.
-    """
-    base, *ablations = preset.split("+")
-    if base not in PRESETS:
-        raise unknown("preset", base, PRESETS)
-    changes = _merge(PRESETS[base], FAMILY_PRESETS.get((base, family), {}))
-    changes = _merge(changes, AGENT_PRESETS.get((base, agent), {}))
-    for ablation in ablations:
-        if ablation not in ABLATIONS:
-            raise unknown("ablation", ablation, ABLATIONS)
-        if not agent.startswith("ear"):
-            raise UsageError(f"agent {agent!r} has no embeddings, so that --preset {preset} would change nothing")
-        changes = _merge(changes, ABLATIONS[ablation])
-    return from_dict({"family": family, "preset": preset, "agent": agent, **changes})
-
-
 def run_name(config: Config) -> str:
     """What a run's directory is called unless its user names it; of path/to/file.py:ClassName, the class."""
     family = config.family.rpartition(":")[2].lower()
     return f"{family}-{config.agent}-{config.preset}-seed{config.seed}"
-
-
-def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    """Nested dictionaries, the second over the first."""
-    merged = dict(base)
-    for name, value in changes.items():
-        merged[name] = _merge(base.get(name, {}), value) if isinstance(value, dict) else value
-    return merged
 
 
 def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> Any:

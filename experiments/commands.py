@@ -5,7 +5,8 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from ear_jax.config import Config, flat, preset_config
+from ear_jax.config import Config, flat
+from ear_jax.presets import preset_config
 from experiments.inventory import Job
 from experiments.paper import Analysis
 

@@ -15,7 +15,8 @@ import jax
 import pytest
 
 from ear_jax import run
-from ear_jax.config import CheckpointConfig, Config, flat, preset_config
+from ear_jax.config import CheckpointConfig, Config, flat
+from ear_jax.presets import preset_config
 from ear_jax.run import compile_program, train_run
 from ear_jax.train import Program, make_program, seed_keys
 from experiments import inventory

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ear_jax import records
-from ear_jax.config import preset_config
+from ear_jax.presets import preset_config
 from experiments import inventory
 from experiments.paper import EXPERIMENTS
 from experiments.report import comparison, markdown, sections

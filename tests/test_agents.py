@@ -15,11 +15,11 @@ from test_learner import bandit_program, begin, one_update
 from ear_jax import train
 from ear_jax.adapt import Search, adapt
 from ear_jax.agents import AGENTS, make_agent
-from ear_jax.config import preset_config
 from ear_jax.evaluate import play_training_tasks
 from ear_jax.interpolate import play_blends, trained_ends
 from ear_jax.learner import Learner
 from ear_jax.policy import Gaussian
+from ear_jax.presets import preset_config
 from ear_jax.runtime import compiler_options
 from ear_jax.tasks import task_set
 from ear_jax.trained import Trained

@@ -16,8 +16,9 @@ import pytest
 
 from ear_jax import records
 from ear_jax.cli import main as ear
-from ear_jax.config import Config, preset_config
+from ear_jax.config import Config
 from ear_jax.errors import RunError
+from ear_jax.presets import preset_config
 from experiments import inventory, reproduce
 from experiments.__main__ import main
 from experiments.inventory import is_trained, is_whole, jobs, missing

@@ -14,7 +14,7 @@ PACKAGE = Path(ear_jax.__file__).parent
 LAYERS = [
     {"errors", "quiet", "stopping"},
     {"records", "manifest", "lock", "safetensors", "leaves", "tasks", "config", "physics", "networks", "policy"},
-    {"runtime", "terminal", "checkpoint", "export", "directory", "failure", "report", "ltes", "pretrained"},
+    {"presets", "runtime", "terminal", "checkpoint", "export", "directory", "failure", "report", "ltes", "pretrained"},
     {"envs", "agents", "stage"},
     {"grid", "codes", "seeds"},
     {"cem"},

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from ear_jax import pretrained, records
-from ear_jax.config import preset_config
 from ear_jax.envs import make_family
 from ear_jax.export import read_policy, write_policy
+from ear_jax.presets import preset_config
 from ear_jax.trained import load
 from experiments import publish
 from experiments.__main__ import main

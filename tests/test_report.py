@@ -8,8 +8,8 @@ import re
 from made_up import SPEEDS, add, add_pairs, cells, record, section
 
 from ear_jax import interpolate, records
-from ear_jax.config import preset_config
 from ear_jax.envs.family import Family
+from ear_jax.presets import preset_config
 from experiments.report import comparison, settings, tables
 from experiments.report.blocks import Section, Table
 from experiments.report.found import Found

@@ -18,10 +18,10 @@ from ear_jax import pretrained, records
 from ear_jax.cli.arguments import parse
 from ear_jax.cli.evaluate import keep_evaluation, print_evaluation
 from ear_jax.codes import blend
-from ear_jax.config import preset_config
 from ear_jax.errors import RunError, UsageError
 from ear_jax.evaluate import evaluate
 from ear_jax.interpolate import Pair, adjacent_pairs, interpolate, play_blends, trained_ends
+from ear_jax.presets import preset_config
 from ear_jax.render import arrange, photograph
 from ear_jax.report.strip import draw_strip
 from ear_jax.run import train_run

@@ -11,11 +11,12 @@ from typing import Annotated
 import tyro
 
 from ear_jax.cli.arguments import parse
-from ear_jax.config import Config, flat, preset_config
+from ear_jax.config import Config, flat
 from ear_jax.directory import check_place, default_directory
 from ear_jax.envs.registry import FAMILIES, find_family
 from ear_jax.errors import UsageError
 from ear_jax.estimate import check_memory, gigabytes, memory, times
+from ear_jax.presets import preset_config
 from ear_jax.run import header, train_run
 from ear_jax.runtime import enable_cache
 from ear_jax.train import make_program

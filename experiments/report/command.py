@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ear_jax.cli.arguments import parse
-from ear_jax.config import preset_config
 from ear_jax.errors import RunError, UsageError
+from ear_jax.presets import preset_config
 from experiments.paper import CHEETAH
 from experiments.report import markdown, page, readme
 from experiments.report.blocks import Block

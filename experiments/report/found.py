@@ -9,8 +9,9 @@ from functools import cached_property
 from typing import Any
 
 from ear_jax import records
-from ear_jax.config import Config, flat, from_dict, preset_config
+from ear_jax.config import Config, flat, from_dict
 from ear_jax.errors import RunError
+from ear_jax.presets import preset_config
 from experiments import inventory
 from experiments.commands import command_line
 from experiments.inventory import BUDGET

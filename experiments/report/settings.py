@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from ear_jax.config import Config, preset_config
+from ear_jax.config import Config
+from ear_jax.presets import preset_config
 from experiments.paper import numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.found import Found
