@@ -27,11 +27,13 @@ def main(words: list[str]) -> None:
         print(json.dumps({"pretrained": cards}))
         return
     table = Table()
-    for heading in ("name", "agent", "trained", "return", "limits"):
-        table.add_column(heading, overflow="fold")
+    for heading in ("name", "agent", "trained", "return", "tasks met"):
+        table.add_column(heading, justify="right" if heading in ("return", "tasks met") else "left", overflow="fold")
     for card in cards:
         trained = f"{card['minutes']:.0f} min, {card['updates']:,} updates"
-        table.add_row(card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", card["limits"])
+        met = f"{sum(task.get('met', False) for task in card['tasks'])} of {len(card['tasks'])}"
+        table.add_row(card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", met)
     Console(highlight=False).print(table)
-    print("A task is met where every episode lasts and what it achieves is less than half way to the next task off.")
+    print("A task is met where every episode lasts and what it achieves is less than half way to the next task off;")
+    print("--json tells which are not, and all else of the cards.")
     print("`ear demo --pretrained NAME` shows one at work; pretrained:NAME stands wherever a command takes a run.")
