@@ -116,7 +116,7 @@ def measure(options: argparse.Namespace, engine: str, name: str, batch: int, ste
             "steps": steps,
             "repeats": repeats,
             "beside": engine,
-            "positions_refreshed": contender == engine and bool(family.bodies),  # work that raw is not asked for
+            "positions": contender == engine and bool(family.bodies),  # of bodies, which raw is not asked for
             **common.spread("env_steps_per_second", [batch * steps / value for value in timing.seconds]),
             **common.spread("ratio_to_raw", common.ratios(timings["raw"].seconds, timing.seconds)),
             **common.spread("cores_used", timing.cores),

@@ -7,11 +7,11 @@ import importlib.util
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import mujoco
 
 from ear_jax.errors import RunError
 from ear_jax.physics.engine import Motion, Physics
+from ear_jax.physics.kinematics import body_positions
 from ear_jax.quiet import mjx
 
 # Warp allocates contacts for all simulations of a batch at once and constraints for each; our robots touch the ground
@@ -28,16 +28,15 @@ class MjxEngine:
         model.opt.iterations, model.opt.ls_iterations = solver
         self.name = name
         self._substeps = substeps
-        self._body_ids = jnp.asarray(body_ids, jnp.int32)
+        self._positions = body_positions(model, body_ids)
         self._model, self._blank = _warp(model) if name == "warp" else _jax(model)
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
         data = self._blank.replace(qpos=physics.qpos, qvel=physics.qvel, qacc_warmstart=physics.warmstart, ctrl=action)
         data, _ = jax.lax.scan(lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps)
-        positions = jnp.zeros((0, 3))
-        if self._body_ids.size:
-            positions = mjx.kinematics(self._model, data).xpos[self._body_ids]
-        return Motion(physics, action, Physics(data.qpos, data.qvel, data.qacc_warmstart), positions)
+        return Motion(
+            physics, action, Physics(data.qpos, data.qvel, data.qacc_warmstart), self._positions(data.qpos)
+        )
 
 
 def _jax(model: mujoco.MjModel) -> tuple[Any, Any]:

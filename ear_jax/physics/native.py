@@ -15,6 +15,7 @@ from jax.experimental.buffer_callback import buffer_callback
 from mujoco.batch import Batch
 
 from ear_jax.physics.engine import Motion, Physics
+from ear_jax.physics.kinematics import body_positions
 
 
 class NativeEngine:
@@ -32,11 +33,9 @@ class NativeEngine:
         # A state that is no longer finite stays so, as it does in MJX, instead of being reset in silence.
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._substeps = substeps
-        self._body_ids = body_ids
+        self._positions = body_positions(model, body_ids)
         if mujoco.get_mju_user_warning() is None:
             mujoco.set_mju_user_warning(_ignore)
-        # Positions lag one substep behind the state after mj_step, so a family that reads them pays for a refresh.
-        self._stage = mujoco.mjtStage.mjSTAGE_POS if body_ids else mujoco.mjtStage.mjSTAGE_NONE
         self._lock = threading.Lock()  # a step lets go of the GIL, and another thread or device may call meanwhile
         self._pools: dict[int, _Pool] = {}  # by number of simulations: a pool holds its threads and MjData
 
@@ -45,10 +44,10 @@ class NativeEngine:
             return jax.ShapeDtypeStruct(shape, jnp.float32)
 
         model = self._model
-        results = (like(model.nq), like(model.nv), like(model.nv), like(len(self._body_ids), 3))
+        results = (like(model.nq), like(model.nv), like(model.nv))
         step = buffer_callback(self._step_batch, results, vmap_method="broadcast_all")
-        qpos, qvel, warmstart, positions = step(physics.qpos, physics.qvel, physics.warmstart, action)
-        return Motion(physics, action, Physics(qpos, qvel, warmstart), positions)
+        qpos, qvel, warmstart = step(physics.qpos, physics.qvel, physics.warmstart, action)
+        return Motion(physics, action, Physics(qpos, qvel, warmstart), self._positions(qpos))
 
     def _step_batch(self, context, outputs, *inputs) -> None:
         """Runs on the host with the buffers of the whole batch; leading axes are whatever was vmapped."""
@@ -58,18 +57,13 @@ class NativeEngine:
             pool = self._pools.get(count) or self._open(count)
             for field, array in zip(pool.inputs, arrays, strict=True):
                 field[...] = array.reshape(field.shape)
-            pool.batch.step(nstep=self._substeps, stage=self._stage.value)
-            for output, field in zip(outputs, pool.outputs, strict=False):  # positions only where bodies are tracked
+            pool.batch.step(nstep=self._substeps)
+            for output, field in zip(outputs, pool.outputs, strict=True):
                 buffer = np.asarray(output)
                 buffer.reshape(field.shape)[...] = field
-            if self._body_ids:
-                buffer = np.asarray(outputs[-1])
-                buffer[...] = pool.batch.xpos[:, self._body_ids].reshape(buffer.shape)
 
     def _open(self, count: int) -> _Pool:
         batch = Batch(self._model, count)
-        if self._body_ids:
-            batch.bind("xpos")  # from now on copied out after every call
         state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
         self._pools[count] = _Pool(batch, (*state, batch.ctrl), state)
         return self._pools[count]
