@@ -67,7 +67,7 @@ def describe(trained: Trained, atlases: list[Atlas]) -> dict[str, Any]:
     program, family = trained.program, trained.program.family
     table = np.asarray(jax.vmap(program.agent.codes)(trained.policies))
     return {
-        "commanded": {"outcome": family.commanded, "unit": family.unit, "period": family.period},
+        "commanded": {**family.quantity, "period": family.period},
         "seeds": [
             {
                 "seed": program.config.seed + index,

@@ -11,6 +11,7 @@ import json
 import logging
 import os
 import shutil
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,21 @@ from ear_jax import manifest, records
 from ear_jax.errors import RunError
 from ear_jax.leaves import first_difference, layout, named, rebuilt
 
-logging.getLogger("absl").setLevel(logging.ERROR)  # Orbax narrates every save
+logging.getLogger("absl").setLevel(logging.CRITICAL)  # Orbax narrates every save; what fails it raises too
+_say_unraisable = sys.unraisablehook
+
+
+def _but_stray_writes(unraisable: sys.UnraisableHookArgs) -> None:
+    """Says that an exception could not be raised, as before, but for one.
+
+    Orbax gives up at the first write that fails and closes its event loop, and each of TensorStore's writes that are
+    still under way complains of that.
+    """
+    if str(unraisable.exc_value) != "Event loop is closed":
+        _say_unraisable(unraisable)
+
+
+sys.unraisablehook = _but_stray_writes
 
 FORMAT = 1
 KEEP = 2  # newest steps kept

@@ -49,7 +49,7 @@ def compose(trained: Trained, first: End, second: End, betas: Sequence[float], s
         "between": [first.name, second.name],
         "steps": steps,
         "dt": round(family.dt, 6),
-        "commanded": {"outcome": family.commanded, "unit": family.unit},
+        "commanded": family.quantity,
         "feet": list(family.feet),
         "seeds": seeds,
     }

@@ -123,7 +123,7 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
         "updates": trained.epoch * config.sac.updates,
         "episodes": episodes,
         "episode_length": program.family.episode_length,
-        "commanded": {"outcome": program.family.commanded, "unit": program.family.unit},
+        "commanded": program.family.quantity,
         "seeds": seeds,
         "mean_return": float(np.mean(played.returns)),
         "failed_tasks": {"failed": sum(count > 0 for count in failures), "total": len(failures)},
@@ -157,7 +157,7 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
     return {
         "run": trained.name,
         "episodes": episodes,
-        "commanded": {"outcome": family.commanded, "unit": family.unit},
+        "commanded": family.quantity,
         "seeds": [
             {
                 "seed": program.config.seed + index,

@@ -113,7 +113,8 @@ def interpolate(
     def count(what: str) -> dict[str, int]:
         return {"success": sum(pair[what] for pair in found), "total": len(found)}
 
-    return {"pairs": found, "mid_task": count("mid_task"), "one_to_one": count("one_to_one")}
+    counts = {"mid_task": count("mid_task"), "one_to_one": count("one_to_one")}
+    return {"pairs": found, **counts, "betas": BETAS, "commanded": family.quantity}
 
 
 def _check_reach(family: Family, pair: Pair, achieved: np.ndarray, target: float) -> None:
@@ -142,4 +143,5 @@ def _judge(family: Family, one: End, other: End, achieved: np.ndarray, target: f
         "mid_task": bool((np.abs(family.difference(achieved, middle))[inside] <= REACHED * abs(gap)).any()),
         "one_to_one": bool(0 < share < 1),
         "one_to_one_outcome": float(halfway),
+        "curve": [round(float(value), 4) for value in achieved],
     }

@@ -16,6 +16,7 @@ from ear_jax.adapt import Search, adapt
 from ear_jax.cli.arguments import parse
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
+from ear_jax.report.search import draw_search
 from ear_jax.runtime import enable_cache
 from ear_jax.tasks import task_set
 from ear_jax.terminal import phase
@@ -81,25 +82,26 @@ def main(words: list[str]) -> None:
     records.write_json(trained.directory / "adaptation.json", {**document, **records.provenance()})
     if command.save is not None:
         ltes.save(trained.directory, command.save, tasks.names[0], [task["lte"] for task in document["tasks"]])
+    pictures = draw_search(trained.directory / "figures", document)
     if command.json:
-        print(json.dumps(document))
-    else:
-        _print(document, family.unit)
+        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
+        return
+    _print(document, family.unit)
+    if pictures:
+        print("pictures: " + ", ".join(str(path) for path in pictures))
 
 
 def _print(document: dict[str, Any], unit: str) -> None:
-    searched = bool(document["env_steps"])
+    tasks, searched = document["tasks"], bool(document["env_steps"])
     title = f"{document['env_steps']:,} env steps of search, {document['seconds']:.0f} s" if searched else None
     table = Table(title=title, title_justify="left")
-    for heading in ("task", "seed"):
-        table.add_column(heading)
-    for heading in ("1st best", "3rd", "last", "again", unit) if searched else ():
-        table.add_column(heading, justify="right")
-    for heading in ("no search", unit):
-        table.add_column(heading, justify="right")
-    table.add_column("LTE", no_wrap=True)
-    for task in document["tasks"]:
-        cells = [task["name"], str(task["seed"])]
+    table.add_column("task", no_wrap=True)
+    for heading in (*(("1st best", "3rd", "last", "again", unit) if searched else ()), "map", unit):
+        table.add_column(heading, justify="right", no_wrap=True)
+    several = len({task["seed"] for task in tasks}) > 1
+    names = [f"{task['name']} seed {task['seed']}" if several else task["name"] for task in tasks]
+    for name, task in zip(names, tasks, strict=True):
+        cells = [name]
         if searched:
             epochs = task["epochs"]
             cells += [
@@ -108,7 +110,10 @@ def _print(document: dict[str, Any], unit: str) -> None:
             cells += [f"{epochs[-1]['reevaluated']:.1f}", f"{epochs[-1]['achieved']:.2f}"]
         answer = task["zero_shot"]
         cells += [f"{answer['reevaluated']:.1f}", f"{answer['achieved']:.2f}"] if answer else ["–", "–"]
-        table.add_row(*cells, " ".join(f"{number:.2f}" for number in task["lte"]))
+        table.add_row(*cells)
     Console(highlight=False).print(table)
     if searched:
         print("best of the 1st, 3rd and last epoch; the last judged again by fresh episodes; what these achieved")
+    print("map: the return, without search, of the code that a map of the sphere promises; what it achieved")
+    for name, task in zip(names, tasks, strict=True):
+        print(f"LTE for {name}: " + " ".join(f"{number:.4f}" for number in task["lte"]))

@@ -17,6 +17,7 @@ from ear_jax.cli.arguments import parse
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
+from ear_jax.report.blends import draw_blends
 from ear_jax.runtime import enable_cache
 from ear_jax.terminal import phase
 from ear_jax.trained import Trained, load
@@ -70,10 +71,12 @@ def main(words: list[str]) -> None:
             arguments = (command.target, command.episodes, command.seed, command.along)
             document = interpolate(trained, pairs, *arguments)
     records.write_json(trained.directory / "interpolation.json", {**document, **records.provenance()})
+    pictures = draw_blends(trained.directory / "figures", document)
     if command.json:
-        print(json.dumps(document))
-    else:
-        _print(document, family.unit)
+        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
+        return
+    _print(document, family.unit)
+    print("pictures: " + ", ".join(str(path) for path in pictures))
 
 
 def find_pair(trained: Trained, first: str, second: str) -> Pair:
@@ -113,14 +116,15 @@ def _at_betas(trained: Trained, pairs: list[Pair], command: InterpolateCommand) 
             for index, rows in enumerate(achieved)
             for (one, other), row in zip(pairs, rows, strict=True)
             for beta, value in zip(command.beta, row, strict=True)
-        ]
+        ],
+        "commanded": trained.program.family.quantity,
     }
 
 
 def _print(document: dict[str, Any], unit: str) -> None:
     table = Table()
     rows = document.get("pairs") or document["blends"]
-    columns = [key for key in rows[0] if key != "between"]
+    columns = [key for key in rows[0] if key not in ("between", "curve")]
     for heading in ("between", *columns):
         table.add_column(HEADINGS.get(heading, heading))
     for row in rows:

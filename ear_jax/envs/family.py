@@ -110,6 +110,11 @@ class Family(Env):
 
     # What follows from it.
 
+    @property
+    def quantity(self) -> dict[str, str]:
+        """The commanded quantity and its unit, as documents name them."""
+        return {"outcome": self.commanded, "unit": self.unit}
+
     def noisy_start(self, key: jax.Array, position: float, speed: Callable[..., jax.Array]) -> Physics:
         """The model's own pose, each coordinate moved by U(±position), with speeds drawn by `speed(key, shape)`."""
         key_qpos, key_qvel = jax.random.split(key)

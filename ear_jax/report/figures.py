@@ -14,6 +14,8 @@ from matplotlib.axes import Axes
 
 # Okabe and Ito's colours, told apart by the colour-blind too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+LINES = ("-", "--", "-.", ":")
+MARKERS = "os^Dvx"
 STYLE: Any = {
     "font.size": 9,
     "axes.spines.top": False,
@@ -23,6 +25,20 @@ STYLE: Any = {
     "figure.dpi": 160,
     "savefig.bbox": "tight",
 }
+
+
+def look(index: int) -> dict[str, Any]:
+    """Colour, line and marker of the line of an index, unlike all others' up to twelve."""
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": LINES[(index + index // len(COLOURS)) % len(LINES)],
+        "marker": MARKERS[(index + index // len(COLOURS)) % len(MARKERS)],
+    }
+
+
+def legend_below(axes: Axes, columns: int) -> None:
+    """Where it hides no line."""
+    axes.legend(fontsize=7, ncols=columns, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.2))
 
 
 def draw_run(directory: Path, rows: list[dict[str, Any]], evaluation: dict[str, Any]) -> list[Path]:

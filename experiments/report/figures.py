@@ -4,29 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
-from ear_jax.report.figures import COLOURS, STYLE
+from ear_jax.report.figures import STYLE, legend_below, look
 from experiments.report.found import Run
 
-LINES = ("-", "--", "-.", ":")
-MARKERS = "os^Dvx"
 Lines = dict[str, list[Run]]  # runs by the label of their line
 PANEL = (4.3, 3.3)  # inches
-
-
-def look(index: int) -> dict[str, Any]:
-    """Colour, line and marker of the line of an index, unlike all others' up to twelve."""
-    return {
-        "color": COLOURS[index % len(COLOURS)],
-        "linestyle": LINES[(index + index // len(COLOURS)) % len(LINES)],
-        "marker": MARKERS[(index + index // len(COLOURS)) % len(MARKERS)],
-    }
 
 
 def draw_panels(path: Path, panels: Sequence[Callable[[Axes], None]]) -> Path:
@@ -87,12 +75,7 @@ def _curve(axes: Axes, index: int, label: str, curves: Sequence[dict[int, float]
 def _finish(axes: Axes, title: str, columns: int = 2) -> None:
     axes.set(xlim=(0, None), xlabel="env steps, all tasks together", ylabel="return of an episode", title=title)
     axes.xaxis.set_major_formatter(FuncFormatter(_short))
-    _legend_below(axes, columns)
-
-
-def _legend_below(axes: Axes, columns: int) -> None:
-    """Where it hides no line."""
-    axes.legend(fontsize=7, ncols=columns, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.2))
+    legend_below(axes, columns)
 
 
 def _short(steps: float, _: int) -> str:
@@ -116,4 +99,4 @@ def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
         if len(answers) == len(searched):
             axes.plot(0, np.mean(answers), "*", color=style["color"], markersize=9, label=f"{label}: from a map")
     axes.set(xlabel="epochs of search (0: none)", ylabel="return, mean over unseen tasks", title=title)
-    _legend_below(axes, 2)
+    legend_below(axes, 2)
