@@ -147,6 +147,12 @@ def _rename(row: Row, key: str) -> Row:
     return {f"ms{end}": row[f"{key}{end}"] for end in ("", "_min", "_max")}
 
 
+def _where(rows: list[Row]) -> str:
+    """On what machines the rows were measured, and of which commits."""
+    machines = {f"{row['machine']['processor']}, {row['machine']['cores']} cores" for row in rows}
+    return " · ".join([*sorted(machines), *sorted({row["commit"] for row in rows})])
+
+
 def main() -> None:
     options = common.arguments(__doc__)
     panels = (
@@ -162,17 +168,13 @@ def main() -> None:
         for axes, (draw, rows) in zip(grid.flat, panels, strict=True):
             if rows:
                 draw(axes, rows)
+                axes.set_title(f"{axes.get_title()}\n{_where(rows)}")
             else:
                 axes.set_axis_off()
-        last = next((rows[-1] for _, rows in panels if rows), None)
-        if last is None:
+        if not any(rows for _, rows in panels):
             raise SystemExit(f"no results in {options.results}: run the other benchmarks first")
-        machine = last["machine"]
-        quick = (
-            " · quick runs, which measure nothing" if any(row["quick"] for _, rows in panels for row in rows) else ""
-        )
-        title = f"{machine['processor']}, {machine['cores']} cores · {last['commit']} · medians and ranges"
-        title += " · quick runs, which measure nothing" if quick else ""
+        quick = any(row["quick"] for _, rows in panels for row in rows)
+        title = "medians and ranges" + (" · quick runs, which measure nothing" if quick else "")
         figure.suptitle(title, fontsize=9)
         figure.savefig(options.results / "benchmarks.png")
     print(options.results / "benchmarks.png")
