@@ -252,7 +252,7 @@ def test_without_opengl_one_line_says_what_to_install_and_the_strip_still_comes(
         ("--task 2", "unknown task 'vel-2'; did you mean 'vel-"),
         ("--task fast", "name a speed in metres per second"),
         ("--interpolate 3 vel-3", "names one task twice"),
-        ("--interpolate 1 3 --beta nan", "--beta nan: each must be a finite number"),
+        ("--interpolate 1 3 --beta nan", "--beta nan is out of range; it must be finite"),
         ("--task 1 --beta 0.5", "--beta goes with --interpolate A B alone"),
         ("--lte 1 0", "--lte has 2 numbers; this run's LTEs have 3"),
         ("--lte 0 0 0", "has no direction"),

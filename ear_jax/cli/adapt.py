@@ -13,7 +13,7 @@ from rich.table import Table
 
 from ear_jax import ltes, records
 from ear_jax.adapt import Search, adapt
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import check_finite, parse
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.report.search import draw_search
@@ -58,6 +58,7 @@ def main(words: list[str]) -> None:
     for name in ("epochs", "elites", "episodes"):
         if getattr(command, name) < 1:
             raise UsageError(f"--{name} {getattr(command, name)} is too small; it must be at least 1")
+    check_finite("--sigma", command.sigma)
     if command.samples < 0 or not command.sigma > 0:
         raise UsageError("--samples must be at least 0 and --sigma above 0")
     if command.save is not None:

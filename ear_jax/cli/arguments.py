@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 from itertools import groupby
 from typing import Any, TypeVar
 
@@ -40,6 +41,12 @@ def parse(
         if not stop.code:  # --help
             raise
         raise UsageError(_one_line(complaint.getvalue(), f"{program} {command}")) from None
+
+
+def check_finite(flag: str, *values: float) -> None:
+    """Raises UsageError unless all numbers given to a flag are finite."""
+    if not all(map(math.isfinite, values)):
+        raise UsageError(f"{flag} {' '.join(f'{value:g}' for value in values)} is out of range; it must be finite")
 
 
 def _one_line(box: str, command: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ear_jax import records
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import check_finite, parse
 from ear_jax.cli.interpolate import find_end
 from ear_jax.compose import BETAS, compose
 from ear_jax.errors import UsageError
@@ -47,8 +46,9 @@ def main(words: list[str]) -> None:
     command = parse(ComposeCommand, words, "compose")
     if command.steps < 2:
         raise UsageError(f"--steps {command.steps} is too small; it must be at least 2")
-    if not command.beta or not all(map(math.isfinite, command.beta)):
-        raise UsageError("--beta needs finite numbers, as in 1 0.5 0")
+    if not command.beta:
+        raise UsageError("--beta needs numbers, as in 1 0.5 0")
+    check_finite("--beta", *command.beta)
     enable_cache()
     trained = load(command.run, command.family)
     first, second = (find_end(trained, word) for word in command.between)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ear_jax import ltes, records
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import check_finite, parse
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
@@ -57,6 +57,9 @@ def main(words: list[str]) -> None:
         raise UsageError("say either --between A B or --all-pairs")
     if command.target is not None and (command.beta or command.all_pairs):
         raise UsageError("--target goes with --between A B alone")
+    check_finite("--beta", *command.beta)
+    if command.target is not None:
+        check_finite("--target", command.target)
     if command.episodes < 1:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
     enable_cache()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import textwrap
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import tyro
 
 from ear_jax import ltes, records
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import check_finite, parse
 from ear_jax.codes import blend, slerp
 from ear_jax.envs import Family, find_task
 from ear_jax.errors import RunError, UsageError
@@ -110,8 +109,7 @@ def _check(command: RenderCommand) -> None:
         raise UsageError("--beta goes with --interpolate A B alone")
     if command.steps < 1:
         raise UsageError(f"--steps {command.steps} is too small; it must be at least 1")
-    if not all(map(math.isfinite, command.beta)):
-        raise UsageError(f"--beta {' '.join(map(str, command.beta))}: each must be a finite number")
+    check_finite("--beta", *command.beta)
 
 
 def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Scene]:
