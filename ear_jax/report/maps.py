@@ -45,12 +45,15 @@ def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> 
             axes: Any = figure.add_subplot(1, 2, index + 1, projection="3d", computed_zorder=False)
             up, turn = np.radians((elevation, azimuth))
             toward = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
+            above = np.array([-np.sin(up) * np.cos(turn), -np.sin(up) * np.sin(turn), np.cos(up)])  # on the screen
             seen = places @ toward > 0  # the far side is the other view's
             shown = axes.scatter(*places[seen].T, c=np.array(one["achieved"])[seen], cmap=colours, norm=scale, s=14)
             for task, code in zip(one["trained"], trained, strict=True):
                 if code @ toward > 0:
-                    axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4)
-                    axes.text(*(1.16 * code), _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=5)
+                    place = 1.03 * code
+                    axes.scatter(*place, color="white", edgecolor="black", s=26, zorder=4)
+                    beside = place + 0.14 * above
+                    axes.text(*beside, _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=3)
             axes.view_init(elevation, azimuth)
             axes.set_box_aspect((1, 1, 1), zoom=1.45)
             axes.set_axis_off()
