@@ -45,15 +45,13 @@ def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> 
             axes: Any = figure.add_subplot(1, 2, index + 1, projection="3d", computed_zorder=False)
             up, turn = np.radians((elevation, azimuth))
             toward = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
-            above = np.array([-np.sin(up) * np.cos(turn), -np.sin(up) * np.sin(turn), np.cos(up)])  # on the screen
+            labels = trained + 0.17 * _across(trained, toward)
             seen = places @ toward > 0  # the far side is the other view's
             shown = axes.scatter(*places[seen].T, c=np.array(one["achieved"])[seen], cmap=colours, norm=scale, s=14)
-            for task, code in zip(one["trained"], trained, strict=True):
+            for task, code, label in zip(one["trained"], trained, labels, strict=True):
                 if code @ toward > 0:
-                    place = 1.03 * code
-                    axes.scatter(*place, color="white", edgecolor="black", s=26, zorder=4)
-                    beside = place + 0.14 * above
-                    axes.text(*beside, _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=3)
+                    axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4)
+                    axes.text(*label, _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=3)
             axes.view_init(elevation, azimuth)
             axes.set_box_aspect((1, 1, 1), zoom=1.45)
             axes.set_axis_off()
@@ -62,6 +60,12 @@ def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> 
         figure.savefig(path)
         plt.close(figure)
     return path
+
+
+def _across(codes: np.ndarray, toward: np.ndarray) -> np.ndarray:
+    """For each of a chain of codes [n, 3], the unit vector across it as seen from a side: where its label is free."""
+    sideways = np.cross(toward, np.diff(codes, axis=0, append=codes[:1]))
+    return sideways / np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-9)
 
 
 def _draw_flat(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Path:
