@@ -91,7 +91,7 @@ def adapt(
       search: how to search; None: only the map.
       episodes: fresh episodes by which a code is judged.
       seed: seeds everything.
-      places: codes of the map; it answers tasks that command something, where the agent has LTEs.
+      places: codes of the map; it answers tasks that command something, where the agent has LTEs on a sphere.
 
     Returns:
       What `ear adapt --json` prints.
@@ -101,7 +101,8 @@ def adapt(
     """
     began = time.perf_counter()
     program, config = trained.program, trained.program.config
-    mapped = search is None or program.agent.embed is not None
+    on_sphere = program.agent.embed is not None and config.network.normalise_lte
+    mapped = search is None or on_sphere
     commanding = [task for task in tasks.tasks if task.target is not None and mapped]
     answers = zero_shot(trained, commanding, episodes, seed, places) if commanding else {}
     searched = _search_all(trained, tasks, search, seed, episodes) if search else {}
@@ -118,9 +119,11 @@ def adapt(
         for task in tasks.tasks
     ]
     episodes_searched = len(tasks) * search.epochs * search.candidates if search else 0
+    seeds_steps = config.seeds * program.family.episode_length
     return {
         "tasks": found,
-        "env_steps": config.seeds * episodes_searched * program.family.episode_length,
+        "env_steps": seeds_steps * episodes_searched,
+        "map_env_steps": seeds_steps * (places if answers else 0),
         "seconds": round(time.perf_counter() - began, 2),
     }
 

@@ -60,27 +60,33 @@ def train_run(config: Config, directory: Path) -> None:
     program = train.make_program(config)
     if (directory / "config.json").exists():
         _check_same(directory, records.read_run(directory), program)
-    step = checkpoint.newest(directory / "checkpoints", say)
-    if step:
-        _check_same(step.path, step.about, program)
-    epoch = step.epoch if step else 0
-    log = directory / "metrics.jsonl"
-    spent = max((row["seconds"] for row in records.read_rows(log) if row["epoch"] <= epoch), default=0.0)
+    step, epoch, spent = _standing(directory, program, say)
     if step and _finished(config, epoch, spent):
         say(f"{directory} is finished: {epoch} epochs, {spent / 60:.1f} minutes (--epochs or --minutes for more)")
         return
     keys = train.seed_keys(config)
     check_memory(program)
     with hold(directory, say), StopRequest(say) as request:
+        step, epoch, spent = _standing(directory, program, lambda _: None)  # another may have gone on until just now
         about = _about(program)
         if not (directory / "config.json").exists():
             records.write_json(directory / "config.json", about)
-        records.keep_rows(log, epoch)
+        records.keep_rows(directory / "metrics.jsonl", epoch)
         say(header(program, directory))
         with phase("compiling"):
             compiled = compile_program(program, keys, fresh=step is None)
         state = _continue(program, compiled, keys, step) if step else _begin(compiled, keys)
         _train_blocks(program, compiled, state, directory, about, lambda: spent + time.perf_counter() - began, request)
+
+
+def _standing(directory: Path, program: Program, warn: Callable[[str], None]) -> tuple[Step | None, int, float]:
+    """A run's newest good step, its epoch, and the seconds spent until then."""
+    step = checkpoint.newest(directory / "checkpoints", warn)
+    if step:
+        _check_same(step.path, step.about, program)
+    epoch = step.epoch if step else 0
+    rows = records.read_rows(directory / "metrics.jsonl")
+    return step, epoch, max((row["seconds"] for row in rows if row["epoch"] <= epoch), default=0.0)
 
 
 def compile_program(program: Program, keys: jax.Array, fresh: bool = True) -> Compiled:

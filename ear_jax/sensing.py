@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax.errors import UsageError
-from ear_jax.grid import Grid
+from ear_jax.grid import Grid, Transition
 from ear_jax.networks import Params
 from ear_jax.rollout import act_with, rollout
 from ear_jax.runtime import compiler_options
@@ -39,7 +39,7 @@ def sense(trained: Trained, task: str, seed: int) -> list[dict[str, Signal]]:
       seed: of the start.
 
     Raises:
-      UsageError: no such task, or an agent that embeds no state.
+      UsageError: no such task, an agent that embeds no state, or an episode that ends before there is a gait.
     """
     program, agent = trained.program, trained.program.agent
     if agent.embed is None:
@@ -48,16 +48,26 @@ def sense(trained: Trained, task: str, seed: int) -> list[dict[str, Signal]]:
     grid, steps = Grid(program.family), program.family.episode_length
     params = jax.tree.map(lambda leaf: leaf[row : row + 1], program.tasks.params)
 
-    def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def record(transition: Transition) -> tuple[jax.Array, jax.Array]:
+        return transition.obs[0, 0], (transition.terminated | ~transition.valid)[0, 0]
+
+    def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         act = act_with(agent, policy, agent.codes(policy)[row : row + 1])
         noise = jnp.zeros((steps, 1, 1, program.family.action_size))
-        _, obs = rollout(grid, act, grid.start(key, params, 1), noise, lambda transition: transition.obs[0, 0])
+        _, (obs, over) = rollout(grid, act, grid.start(key, params, 1), noise, record)
         newest = obs[:, -(program.family.observation_size // program.family.history) :]
-        return newest, jax.vmap(lambda one: embed(policy, one))(obs)
+        return newest, jax.vmap(lambda one: embed(policy, one))(obs), over
 
     keys = jax.random.split(jax.random.key(seed), program.config.seeds)
     seen = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))
-    return [{"state": analyse(obs[SETTLED:]), "lse": analyse(lse[SETTLED:])} for obs, lse in zip(*seen, strict=True)]
+    lengths = [int(np.argmax(over)) + 1 if over.any() else steps for over in seen[2]]
+    if min(lengths) < 2 * SETTLED:
+        raise UsageError(f"{task} lasts {min(lengths)} of {steps} steps, too few for a gait; name another with --task")
+    gaits = [slice(SETTLED, length) for length in lengths]
+    return [
+        {"state": analyse(obs[gait]), "lse": analyse(lse[gait])}
+        for obs, lse, gait in zip(*seen[:2], gaits, strict=True)
+    ]
 
 
 def analyse(signal: np.ndarray) -> Signal:

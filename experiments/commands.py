@@ -20,15 +20,21 @@ def train_words(job: Job) -> list[str]:
     return words if config.minutes is None else [*words, "--minutes", f"{config.minutes:g}"]
 
 
+def is_recorded(job: Job) -> bool:
+    """Whether the run of that name on this machine is the one that the record is of."""
+    rows, kept = (place / "metrics.jsonl" for place in (RUNS / job.name, job.record))
+    return rows.is_file() and kept.is_file() and rows.read_bytes() == kept.read_bytes()
+
+
 def export_words(job: Job) -> list[str]:
     """The `ear` command that puts a run's policy into its record."""
     return ["export", str(RUNS / job.name), str(job.policy)]
 
 
 def analysis_words(job: Job, analysis: Analysis) -> list[str]:
-    """The `ear` command that makes an analysis of a job's run or, where that is not there, of its record's policy."""
+    """The `ear` command that makes an analysis of a job's run or, where that is not the recorded one, of the policy."""
     run = RUNS / job.name
-    holder = job.policy if job.policy.is_file() and not run.is_dir() else run
+    holder = job.policy if job.policy.is_file() and not is_recorded(job) else run
     return [analysis.command, str(holder), *analysis.options, "--json"]
 
 

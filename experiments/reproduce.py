@@ -17,7 +17,7 @@ from ear_jax.cli.main import COMMANDS
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError
 from ear_jax.stopping import Stopped
-from experiments.commands import RUNS, analysis_words, export_words, train_words
+from experiments.commands import RUNS, analysis_words, export_words, is_recorded, train_words
 from experiments.inventory import Job, is_trained, is_whole, missing
 
 
@@ -75,15 +75,14 @@ def _is_kept(job: Job) -> bool:
 
 def keep_training(job: Job) -> None:
     """Makes the record that of the run; documents of another run of that name go."""
-    run, rows = RUNS / job.name, (RUNS / job.name / "metrics.jsonl").read_bytes()
-    kept = job.record / "metrics.jsonl"
-    if kept.is_file() and kept.read_bytes() == rows:
+    run = RUNS / job.name
+    if is_recorded(job):
         job.policy.unlink(missing_ok=True)  # of a process that was stopped while it wrote
         return
     shutil.rmtree(job.record, ignore_errors=True)
     job.record.mkdir(parents=True)
     shutil.copyfile(run / "config.json", job.record / "config.json")
-    kept.write_bytes(rows)
+    shutil.copyfile(run / "metrics.jsonl", job.record / "metrics.jsonl")
 
 
 def run_ear(words: list[str]) -> str:

@@ -188,6 +188,17 @@ def test_a_record_is_analysed_where_its_run_is_not(workplace, tmp_path):
     assert workplace == [f"evaluate {record / 'policy.safetensors'} --episodes 5 --json"]
 
 
+def test_a_record_is_not_analysed_by_another_run_of_its_name(workplace, tmp_path):
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    record = inventory.RECORDS / "ant-dir-ear-fast-seed0"
+    (record / "evaluation.json").unlink()
+    with (tmp_path / "runs" / record.name / "metrics.jsonl").open("a") as rows:
+        rows.write('{"epoch": 999}\n')
+    workplace.clear()
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    assert workplace == [f"evaluate {record / 'policy.safetensors'} --episodes 5 --json"]
+
+
 def test_training_anew_drops_what_was_said_of_the_run_before(workplace):
     job = jobs(EXPERIMENTS["table-15"], "fast", seeds=1)[0]
     write_run(job.record, job.config, epoch=1)

@@ -47,6 +47,7 @@ def test_adaptation_tasks_are_drawn_from_the_seed(name, count, low, high):
     assert draws.min() >= low
     assert draws.max() <= high
     assert np.ptp(draws) > 0.8 * (high - low)
+    assert not np.isin(draws, named.training_tasks().targets).any(), "tasks not trained on"
     if name == "ant-dir":
         np.testing.assert_array_equal(draws, draws.astype(int))
 

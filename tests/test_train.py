@@ -6,6 +6,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -95,6 +96,25 @@ def test_finished_run_is_left_alone(tiny, run_directory, capsys):
     train_run(tiny, run_directory)
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert "is finished" in capsys.readouterr().err
+
+
+def test_what_another_process_did_until_just_now_is_kept(tiny, run_directory, monkeypatch):
+    train_run(dataclasses.replace(tiny, epochs=2), run_directory)
+    hold, log = run.hold, run_directory / "metrics.jsonl"
+
+    @contextmanager
+    def hold_late(*words):
+        monkeypatch.setattr(run, "hold", hold)
+        train_run(tiny, run_directory)  # to the end, after this process has looked and before it has the lock
+        seen.append(log.read_text())
+        with hold(*words):
+            yield
+
+    seen: list[str] = []
+    monkeypatch.setattr(run, "hold", hold_late)
+    train_run(tiny, run_directory)
+    assert seen == [log.read_text()]
+    assert [row["epoch"] for row in records.read_rows(log)] == [2, 4]
 
 
 def test_minutes_stop_a_run_and_more_continue_it(tiny, run_directory):

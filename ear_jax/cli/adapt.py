@@ -115,6 +115,8 @@ def _print(document: dict[str, Any], unit: str) -> None:
     Console(highlight=False).print(table)
     if searched:
         print("best of the 1st, 3rd and last epoch; the last judged again by fresh episodes; what these achieved")
-    print("map: the return, without search, of the code that a map of the sphere promises; what it achieved")
+    if document["map_env_steps"]:
+        print("map: the return, without search, of the code that a map of the sphere promises; what it achieved")
+        print(f"the map took {document['map_env_steps']:,} env steps")
     for name, task in zip(names, tasks, strict=True):
         print(f"LTE for {name}: " + " ".join(f"{number:.4f}" for number in task["lte"]))

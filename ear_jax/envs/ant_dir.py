@@ -37,7 +37,10 @@ class AntDir(Family):
         return task_set([direction_task(angle) for angle in range(0, 360, SPACING)])
 
     def adaptation_tasks(self, seed: int) -> TaskSet:
-        angles = np.random.default_rng(seed).choice(360, size=5, replace=False)
+        rng = np.random.default_rng(seed)
+        angles = rng.choice(360, size=5, replace=False)
+        while (angles % SPACING == 0).any():  # none that it was trained on
+            angles = rng.choice(360, size=5, replace=False)
         return task_set([direction_task(int(angle)) for angle in angles])
 
     def interpolation_tasks(self) -> TaskSet:

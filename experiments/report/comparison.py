@@ -61,8 +61,8 @@ def _verdicts(found: Found, family: str) -> Iterator[Verdict]:
     for what, words in MEASURES.items():
         counted, theirs = successes(runs, what), paper_counts(family, what)
         if counted:
-            as_often = counted[0] * theirs["total"] >= theirs["success"] * counted[1]
-            said = f"{counted[0]} of {counted[1]} pairs ({seeds(runs)}); the paper {printed(theirs)}."
+            as_often = counted.number * theirs["total"] >= theirs["success"] * counted.total
+            said = f"{counted} pairs ({seeds(counted.seeds)}); the paper {printed(theirs)}."
             yield as_often, f"{NAMES[family]}, {words}: {said}"
 
 
@@ -91,7 +91,7 @@ def _cheetah(found: Found) -> Iterator[str]:
     lost = [loss for run in runs if (loss := _start_up_loss(run)) is not None]
     if lost:
         yield (
-            "The cheetah starts at rest and the floor's friction bounds how fast it speeds up: about "
+            "The cheetah starts at rest and the floor's friction bounds how fast it speeds up: at most "
             f"{number(float(np.mean(lost)), 0)} of our return is what the first half of episodes scores below the "
             "second. No policy avoids all of that, and the paper's does not either."
         )

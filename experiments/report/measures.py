@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,17 @@ def task_returns(run: Run) -> dict[str, float]:
     return run.last["returns"]
 
 
+class Count(NamedTuple):
+    """How many of how many, over the seeds that tell."""
+
+    number: int
+    total: int
+    seeds: tuple[int, ...]
+
+    def __str__(self) -> str:
+        return f"{self.number} of {self.total}"
+
+
 def mean_return(run: Run) -> float:
     """The mean over training tasks: what the paper's table 1 compares."""
     return float(np.mean(list(task_returns(run).values())))
@@ -29,17 +40,24 @@ def score_table(runs: Sequence[Run]) -> np.ndarray:
     return np.array([list(task_returns(run).values()) for run in runs])
 
 
-def successes(runs: Sequence[Run], what: str) -> tuple[int, int] | None:
-    """How many pairs of neighbours succeed at `mid_task` or `one_to_one`, of how many, all seeds together."""
-    pairs = [pair for run in runs for pair in run.of_seed("interpolation", "pairs")]
-    return (sum(pair[what] for pair in pairs), len(pairs)) if pairs else None
+def successes(runs: Sequence[Run], what: str) -> Count | None:
+    """How many pairs of neighbours succeed at `mid_task` or `one_to_one`; None where no run has them."""
+    return _counted({run.seed: [pair[what] for pair in run.of_seed("interpolation", "pairs")] for run in runs})
 
 
-def failed_tasks(runs: Sequence[Run]) -> tuple[int, int] | None:
-    """How many tasks had an episode that ended early, of how many, all seeds together."""
-    tasks = [task for run in runs for one in run.of_seed("evaluation", "seeds") for task in one["tasks"]]
-    tasks = [task for task in tasks if "failures" in task]
-    return (sum(task["failures"] > 0 for task in tasks), len(tasks)) if tasks else None
+def failed_tasks(runs: Sequence[Run]) -> Count | None:
+    """How many tasks had an episode that ended early; None where no run was evaluated so."""
+
+    def failed(run: Run) -> list[bool]:
+        tasks = [task for one in run.of_seed("evaluation", "seeds") for task in one["tasks"]]
+        return [task["failures"] > 0 for task in tasks if "failures" in task]
+
+    return _counted({run.seed: failed(run) for run in runs})
+
+
+def _counted(of_seeds: dict[int, list[bool]]) -> Count | None:
+    told = {seed: one for seed, one in of_seeds.items() if one}
+    return Count(sum(map(sum, told.values())), sum(map(len, told.values())), tuple(told)) if told else None
 
 
 def difference(family: str, one: Any, other: Any) -> Any:

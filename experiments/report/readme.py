@@ -58,7 +58,7 @@ def _family(family: str, runs: list[Run]) -> list[list[str]]:
     for what, words in SUCCESS.items():
         counted = successes(runs, what)
         if counted:
-            pairs = f"{counted[0]} of {counted[1]} pairs"
+            pairs = f"{counted} pairs ({seeds(counted.seeds)})"
             rows.append([f"… {words}", _on_run(INTERPOLATION), pairs, printed(paper_counts(family, what))])
     return rows + _adapted(family, runs)
 
@@ -110,9 +110,11 @@ def _machines(runs: list[Run]) -> list[str]:
 
 
 def _note(run: Run) -> str:
-    """Of a run whose preset is another today; otherwise empty."""
-    if not run.changes:
-        return ""
-    settings = ", ".join(f"`{name}` {value}" for name, value in run.changes.items())
-    preset, commit = run.config.preset, run.made["commit"]
-    return f"`{run.name}`, of commit {commit}, has settings that `{preset}` has otherwise today: {settings}."
+    """Of a run that was stopped before its end, or whose preset is another today; otherwise empty."""
+    last, config, said = run.last, run.config, []
+    if last["epoch"] < config.epochs and not (config.minutes and last["seconds"] >= 60 * config.minutes):
+        said.append(f"was stopped at epoch {count(last['epoch'])} of {count(config.epochs)}")
+    if run.changes:
+        settings = ", ".join(f"`{name}` {value}" for name, value in run.changes.items())
+        said.append(f"has settings that `{config.preset}` has otherwise today: {settings}")
+    return f"`{run.name}`, of commit {run.made['commit']}, {'; it '.join(said)}." if said else ""

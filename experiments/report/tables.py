@@ -8,6 +8,7 @@ from experiments.paper import ANT, EXPERIMENTS, FAMILIES, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.found import Found, Run
 from experiments.report.measures import (
+    Count,
     failed_tasks,
     mean_return,
     paper_budget,
@@ -84,9 +85,9 @@ def interpolation_counts(found: Found) -> list[Block]:
     return [Table(caption, ("family", "measure", "paper", "ours"), rows)]
 
 
-def share(runs: Sequence[Run], counted: tuple[int, int] | None) -> str:
+def share(runs: Sequence[Run], counted: Count | None) -> str:
     """How many of how many, and of how many seeds."""
-    return f"{counted[0]} of {counted[1]} ({seeds(runs)})" if counted else lack(runs)
+    return f"{counted} ({seeds(counted.seeds)})" if counted else lack(runs)
 
 
 def episode_ends(found: Found) -> list[Block]:
