@@ -1,4 +1,4 @@
-"""Time of one epoch of training by its parts, each compiled alone, and of the whole beside their sum."""
+"""Time of an epoch of training by its parts, each compiled alone, and of the whole, as runs have it, beside the sum."""
 
 from __future__ import annotations
 
@@ -58,13 +58,15 @@ def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, C
     rolled_out, updated = (compiled(jax.vmap(partial(part, program))) for part in (collect, update))
     transitions = rolled_out(state)
     add = compiled(jax.vmap(replay.add), donate_argnums=0)
-    whole = compiled(jax.vmap(lambda state: train.train_epoch(program, state)[0]), donate_argnums=0)
+    collecting, learning = (
+        compiled(jax.vmap(partial(half, program)), donate_argnums=0) for half in (train.collect, train.learn)
+    )
     rings: Replay = jax.tree.map(jnp.copy, state.replay)
     return {
         "collect": lambda: jax.block_until_ready(rolled_out(state)),
         "add": _repeat(lambda buffer: add(buffer, transitions), rings),
         "update": lambda: jax.block_until_ready(updated(state)),
-        "whole": _repeat(whole, start()),
+        "whole": _repeat(lambda state: learning(collecting(state)[0])[0], start()),
     }
 
 

@@ -70,7 +70,7 @@ def times(config: Config) -> Times:
     """
     collect, sac = config.collect, config.sac
     steps, updates = min(FEW, collect.steps), min(FEW, sac.updates)
-    few = replace(config, collect=replace(collect, steps=steps, pretrain_epochs=1), sac=replace(sac, updates=updates))
+    few = replace(config, collect=replace(collect, steps=steps), sac=replace(sac, updates=updates))
     program, keys = train.make_program(few), train.seed_keys(few)
 
     def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
@@ -79,20 +79,19 @@ def times(config: Config) -> Times:
     def evaluate(policy: Params, key: jax.Array) -> Episodes:
         return play_training_tasks(program, policy, key, config.log.episodes)
 
-    collecting = compiled(partial(train.pretrain, program), donate_argnums=0)
-    training = compiled(lambda state: train.train_epoch(program, state)[0], donate_argnums=0)
+    collecting = compiled(lambda state: train.collect(program, state)[0], donate_argnums=0)
+    learning = compiled(lambda state: train.learn(program, state)[0], donate_argnums=0)
     evaluating = compiled(evaluate)
     began = time.perf_counter()
     with phase("compiling"):
-        state = training(collecting(compiled(partial(train.init, program))(keys)))
+        state = learning(collecting(compiled(partial(train.init, program))(keys)))
         jax.block_until_ready(evaluating(state.learner.policy, keys))
     compiling = time.perf_counter() - began
     with phase(f"timing {steps} steps and {updates} updates"):
         collected, state = _fastest(collecting, state)
-        trained, state = _fastest(training, state)
+        learnt, state = _fastest(learning, state)
         evaluated, _ = _fastest(lambda state: evaluating(state.learner.policy, keys), state, repeats=1)
-    update = max(trained - collected, 0.0) / updates
-    return Times(compiling, collected / steps * collect.steps + update * sac.updates, evaluated)
+    return Times(compiling, collected / steps * collect.steps + learnt / updates * sac.updates, evaluated)
 
 
 def _fastest(run: Callable[[Any], Any], state: Any, repeats: int = REPEATS) -> tuple[float, Any]:

@@ -1,4 +1,4 @@
-"""The host loop of training: clock, terminal and disk around one compiled chunk."""
+"""The host loop of training: clock, terminal and disk around two compiled halves of an epoch."""
 
 from __future__ import annotations
 
@@ -34,10 +34,15 @@ from ear_jax.train import Program, TrainState
 
 @dataclass(frozen=True)
 class Compiled:
-    """A program compiled for all seeds at once; each argument and result has a leading axis [seeds]."""
+    """A program compiled for all seeds at once; each argument and result has a leading axis [seeds].
 
-    begin: Callable[[jax.Array], TrainState]
-    chunk: Callable[[TrainState, jax.Array], tuple[TrainState, train.Metrics]]
+    An epoch is two programs: `collect` calls the host on the native engine, and so is compiled at every start,
+    while `learn`, the larger of the two, comes out of JAX's cache.
+    """
+
+    init: Callable[[jax.Array], TrainState]
+    collect: Callable[[TrainState], tuple[TrainState, train.Metrics]]  # each takes its argument for its own
+    learn: Callable[[TrainState], tuple[TrainState, train.Metrics]]
     evaluate: Callable[[Params, jax.Array], Episodes]
     state: TrainState  # of which shapes
 
@@ -74,8 +79,8 @@ def train_run(config: Config, directory: Path) -> None:
         records.keep_rows(directory / "metrics.jsonl", epoch)
         say(header(program, directory))
         with phase("compiling"):
-            compiled = compile_program(program, keys, fresh=step is None)
-        state = _continue(program, compiled, keys, step) if step else _begin(compiled, keys)
+            compiled = compile_program(program, keys)
+        state = _continue(program, compiled, keys, step) if step else _begin(program, compiled, keys)
         _train_blocks(program, compiled, state, directory, about, lambda: spent + time.perf_counter() - began, request)
 
 
@@ -89,34 +94,44 @@ def _standing(directory: Path, program: Program, warn: Callable[[str], None]) ->
     return step, epoch, max((row["seconds"] for row in rows if row["epoch"] <= epoch), default=0.0)
 
 
-def compile_program(program: Program, keys: jax.Array, fresh: bool = True) -> Compiled:
-    """Compiles everything a run calls, side by side.
-
-    Args:
-      program: what to train.
-      keys: of the seeds, [seeds].
-      fresh: whether the run has yet to begin; otherwise what begins one is left alone.
-    """
+def compile_program(program: Program, keys: jax.Array) -> Compiled:
+    """Compiles everything a run calls, side by side; keys are of the seeds, [seeds]."""
     seeds = len(keys)
 
     def evaluate(policy: Params, key: jax.Array) -> Episodes:
         return play_training_tasks(program, policy, key, program.config.log.episodes)
 
-    begin = over_seeds(partial(train.begin, program), seeds, (0,))
-    chunk = over_seeds(partial(train.train_chunk, program), seeds, (0, None), donate_argnums=0)
-    state = jax.eval_shape(begin, keys)
+    init = over_seeds(partial(train.init, program), seeds, (0,))
+    collect = over_seeds(partial(train.collect, program), seeds, (0,), donate_argnums=0)
+    learn = over_seeds(partial(train.learn, program), seeds, (0,), donate_argnums=0)
     play = over_seeds(evaluate, seeds, (0, 0))
-    lowered = [chunk.lower(state, jax.ShapeDtypeStruct((), jnp.int32)), play.lower(state.learner.policy, keys)]
-    if fresh:
-        lowered.append(begin.lower(keys))
+    state = jax.eval_shape(init, keys)
+    lowered = [collect.lower(state), play.lower(state.learner.policy, keys), learn.lower(state), init.lower(keys)]
     with ThreadPoolExecutor() as pool:
-        chunk, play, *began = pool.map(lambda one: one.compile(), lowered)
-    return Compiled(began[0] if fresh else begin, chunk, play, state)
+        collect, play, learn, init = pool.map(lambda one: one.compile(), lowered)
+    return Compiled(init, collect, learn, play, state)
 
 
-def _begin(compiled: Compiled, keys: jax.Array) -> TrainState:
+def fill_replay(compiled: Compiled, state: TrainState, epochs: int) -> TrainState:
+    """Epochs of collection without updates, by the policy as it stands."""
+    for _ in range(epochs):
+        state, _ = compiled.collect(state)
+    return jax.block_until_ready(state)
+
+
+def train_epochs(compiled: Compiled, state: TrainState, epochs: int) -> tuple[TrainState, list[train.Metrics]]:
+    """Epochs of collection and updates, and the metrics of each; the device is not waited for."""
+    metrics = []
+    for _ in range(epochs):
+        state, collected = compiled.collect(state)
+        state, learnt = compiled.learn(state)
+        metrics.append({**collected, **learnt})
+    return state, metrics
+
+
+def _begin(program: Program, compiled: Compiled, keys: jax.Array) -> TrainState:
     with phase("collecting with the untrained policy"):
-        return jax.block_until_ready(compiled.begin(keys))
+        return fill_replay(compiled, compiled.init(keys), program.config.collect.pretrain_epochs)
 
 
 def _continue(program: Program, compiled: Compiled, keys: jax.Array, step: Step) -> TrainState:
@@ -135,9 +150,8 @@ def _continue(program: Program, compiled: Compiled, keys: jax.Array, step: Step)
         f"{program.env_steps(epochs):,} env steps a seed, fill it anew, and the run is another from here on"
     )
     state = dataclasses.replace(state, replay=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like.replay))
-    refill = over_seeds(partial(train.pretrain, program), len(keys), (0,), donate_argnums=0)
     with phase("collecting with the policy as it stands"):
-        return refill(jax.device_put(state, spread(len(keys))))
+        return fill_replay(compiled, jax.device_put(state, spread(len(keys))), epochs)
 
 
 def _train_blocks(
@@ -157,12 +171,12 @@ def _train_blocks(
         while not last:
             block_began = time.perf_counter()
             count = min(config.log.epochs, config.epochs - epoch)
-            state, metrics = compiled.chunk(state, jnp.int32(count))
+            state, metrics = train_epochs(compiled, state, count)
             epoch, blocks = epoch + count, blocks + 1
             episodes = compiled.evaluate(state.learner.policy, train.evaluation_keys(keys, epoch))
             metrics, episodes = jax.device_get((metrics, episodes))  # waits for the device, once a block
             took = time.perf_counter() - block_began
-            sound = metrics.pop("sound_updates")
+            sound = sum(one.pop("sound_updates") for one in metrics)  # [seeds, tasks]
             rows = _rows(program, state, clock(), metrics, episodes)
             check_finite(directory, rows, sound, (epoch - count) * config.sac.updates)
             records.append_rows(directory / "metrics.jsonl", rows)
@@ -193,10 +207,11 @@ def _finished(config: Config, epoch: int, seconds: float) -> bool:
 
 
 def _rows(
-    program: Program, state: TrainState, seconds: float, metrics: train.Metrics, episodes: Episodes
+    program: Program, state: TrainState, seconds: float, metrics: list[train.Metrics], episodes: Episodes
 ) -> list[dict[str, Any]]:
-    """A row a seed; `returns` are of whole evaluation episodes without exploration."""
+    """A row a seed: metrics are means over the block's epochs, `returns` of whole episodes without exploration."""
     returns = episodes.returns.mean(axis=-1)  # [seeds, tasks]
+    means = jax.tree.map(lambda *epochs: np.mean(epochs, axis=0), *metrics)  # each [seeds]
     epoch = int(state.epoch[0])
     return [
         {
@@ -207,7 +222,7 @@ def _rows(
             "seconds": round(seconds, 3),
             "mean_return": float(returns[index].mean()),
             "returns": dict(zip(program.tasks.names, returns[index].tolist(), strict=True)),
-            **{name: float(value[index]) for name, value in metrics.items()},
+            **{name: float(value[index]) for name, value in means.items()},
         }
         for index in range(program.config.seeds)
     ]

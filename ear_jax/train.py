@@ -104,73 +104,48 @@ def init(program: Program, key: jax.Array) -> TrainState:
     )
 
 
-def pretrain(program: Program, state: TrainState) -> TrainState:
-    """Fills the replay with roll-outs of the policy as it stands (algorithm 1, the pre-train epochs)."""
+def collect(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
+    """One epoch's collection of one seed: every task's environments act under its own code, into its own ring.
 
-    def epoch(state: TrainState, _: None) -> tuple[TrainState, None]:
-        key_collect, key_later = jax.random.split(state.key)
-        state = _collect(program, state, key_collect)[0]
-        return replace(state, key=key_later), None
-
-    return jax.lax.scan(epoch, state, length=program.config.collect.pretrain_epochs)[0]
-
-
-def begin(program: Program, key: jax.Array) -> TrainState:
-    """A run of one seed, ready to train."""
-    return pretrain(program, init(program, key))
-
-
-def train_chunk(program: Program, state: TrainState, epochs: jax.Array) -> tuple[TrainState, Metrics]:
-    """Trains for some epochs: collect from every task, add to replay, update.
-
-    Args:
-      program: what to train.
-      state: one seed's run; `jax.vmap` makes it many.
-      epochs: how many, an int32 scalar, so that a shorter last chunk is not compiled anew.
-
-    Returns:
-      The run afterwards, and its metrics: scalars averaged over the chunk, norms at its end, and `sound_updates`
-      [tasks], the chunk's updates before the first in which a task's loss was not finite.
+    Also what fills the replay before the first update, by the untrained policy (algorithm 1, the pre-train epochs).
     """
-
-    def epoch(_: jax.Array, carry: tuple[TrainState, Metrics]) -> tuple[TrainState, Metrics]:
-        state, total = carry
-        state, metrics = train_epoch(program, state)
-        return state, jax.tree.map(jnp.add, total, metrics)
-
-    shapes = jax.eval_shape(lambda state: train_epoch(program, state)[1], state)
-    nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-    state, total = jax.lax.fori_loop(0, epochs, epoch, (state, nothing))
-    sound = total.pop("sound_updates")
-    means = jax.tree.map(lambda leaf: leaf / epochs, total)
-    return state, {**means, **state.learner.norms, "sound_updates": sound}
-
-
-def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
-    """One epoch of one seed, its scalars, and `sound_updates`."""
-    key_collect, key_update, key_later = jax.random.split(state.key, 3)
-    state, collected = _collect(program, state, key_collect)
-    learner = program.learner.observe(state.learner, state.replay)
-    draws = program.learner.draw(key_update, program.config.sac.updates)
-    learner, watched = jax.lax.scan(
-        lambda learner, draws: program.learner.update(learner, state.replay, draws), learner, draws
-    )
-    state = replace(state, learner=learner, key=key_later, epoch=state.epoch + 1)
-    sound = jnp.sum(jnp.cumprod(watched.pop("sound"), axis=0), axis=0)  # from [updates, tasks]
-    return state, {**jax.tree.map(jnp.mean, watched), **collected, "sound_updates": sound}
-
-
-def _collect(program: Program, state: TrainState, key: jax.Array) -> tuple[TrainState, Metrics]:
-    """Every task's environments take their steps of one epoch, under its own code, into its own ring."""
-    collect, family = program.config.collect, program.family
-    shape = (collect.steps, len(program.tasks), collect.envs, family.action_size)
+    key, later = jax.random.split(state.key)
+    settings, family = program.config.collect, program.family
+    shape = (settings.steps, len(program.tasks), settings.envs, family.action_size)
     policy = state.learner.policy
     act = act_with(program.agent, policy, program.agent.codes(policy))
     noise = jax.random.normal(key, shape)
     cells, transitions = rollout(Grid(family), act, state.cells, noise, _whole)
     invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
     buffer = replay.add(state.replay, transitions)
-    return replace(state, cells=cells, replay=buffer, collected=state.collected + 1), {"invalid_steps": invalid}
+    state = replace(state, cells=cells, replay=buffer, key=later, collected=state.collected + 1)
+    return state, {"invalid_steps": invalid}
+
+
+def learn(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
+    """One epoch's updates of one seed.
+
+    Returns:
+      The run afterwards, and its metrics: scalars averaged over the updates, norms at their end, and `sound_updates`
+      [tasks], the updates before the first in which a task's loss was not finite.
+    """
+    key, later = jax.random.split(state.key)
+    learner = program.learner.observe(state.learner, state.replay)
+    learner, watched = jax.lax.scan(
+        lambda learner, draws: program.learner.update(learner, state.replay, draws),
+        learner,
+        program.learner.draw(key, program.config.sac.updates),
+    )
+    sound = jnp.sum(jnp.cumprod(watched.pop("sound"), axis=0), axis=0)  # from [updates, tasks]
+    state = replace(state, learner=learner, key=later, epoch=state.epoch + 1)
+    return state, {**jax.tree.map(jnp.mean, watched), **learner.norms, "sound_updates": sound}
+
+
+def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
+    """One epoch of one seed: collect, then learn."""
+    state, collected = collect(program, state)
+    state, learnt = learn(program, state)
+    return state, {**collected, **learnt}
 
 
 def _whole(transition: Transition) -> Transition:

@@ -85,7 +85,7 @@ def _compiled(config: Config) -> run.Compiled:
     return compile_program(make_program(config), seed_keys(config))
 
 
-def _compile_once(program: Program, keys: jax.Array, fresh: bool = True) -> run.Compiled:
+def _compile_once(program: Program, keys: jax.Array) -> run.Compiled:
     return compiled(program.config)
 
 

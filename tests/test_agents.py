@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_learner import bandit_program, begin, one_update
+from test_learner import bandit_program, begin, one_update, train_on
 
-from ear_jax import train
 from ear_jax.adapt import Search, adapt
 from ear_jax.agents import AGENTS, make_agent
 from ear_jax.evaluate import play_training_tasks
@@ -20,7 +18,6 @@ from ear_jax.interpolate import play_blends, trained_ends
 from ear_jax.learner import Learner
 from ear_jax.policy import Gaussian
 from ear_jax.presets import preset_config
-from ear_jax.runtime import compiler_options
 from ear_jax.tasks import task_set
 from ear_jax.trained import Trained
 
@@ -31,8 +28,7 @@ CHEETAH = (17, 6, 10)  # observations, actions, tasks
 def solved(request: pytest.FixtureRequest) -> Trained:
     """The bandit after 1,000 updates, which is enough for each agent."""
     program = bandit_program(request.param)
-    chunk = jax.jit(partial(train.train_chunk, program), compiler_options=compiler_options())
-    state, _ = chunk(begin(program), jnp.int32(20))
+    state = train_on(program, begin(program), 20)
     return Trained(request.param, program, jax.tree.map(lambda leaf: leaf[None], state.learner.policy), 20)
 
 

@@ -56,7 +56,7 @@ def collected(limit: float, monkeypatch, state=None) -> tuple[train.TrainState, 
     few = tiny_config().collect
     program = make_program(tiny_config(family="probe", tasks=("-0.5", "0.5"), collect=replace(few, steps=STEPS)))
     start = state or jax.jit(partial(train.init, program))(jax.random.key(1))
-    after, metrics = jax.jit(partial(train._collect, program))(start, jax.random.key(2))
+    after, metrics = jax.jit(partial(train.collect, program))(start)
     return start, after, float(metrics["invalid_steps"])
 
 

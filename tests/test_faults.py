@@ -193,7 +193,7 @@ def times(directory: Path) -> dict[Path, int]:
 @pytest.fixture
 def refusal(finished, monkeypatch) -> Callable[..., str]:
     """What training that run is refused with, before anything is compiled or written."""
-    monkeypatch.setattr(run, "compile_program", lambda *_, **__: pytest.fail("it came to compiling"))
+    monkeypatch.setattr(run, "compile_program", lambda *_: pytest.fail("it came to compiling"))
 
     def refuse(config: Config) -> str:
         before = times(finished)
@@ -274,9 +274,7 @@ def test_what_a_process_left_that_was_killed_at_once_is_no_obstacle(run_director
     run_directory.mkdir()
     for name in ("lock", "config.json.part"):
         (run_directory / name).touch()
-    monkeypatch.setattr(
-        run, "compile_program", lambda *_, **__: (_ for _ in ()).throw(RunError("it came to compiling"))
-    )
+    monkeypatch.setattr(run, "compile_program", lambda *_: (_ for _ in ()).throw(RunError("it came to compiling")))
     with pytest.raises(RunError, match="it came to compiling"):
         train_run(finished_config(), run_directory)
 

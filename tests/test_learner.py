@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -37,7 +36,20 @@ def bandit_program(agent: str = "ear", kind: type[Bandit] = Bandit, history: int
 
 
 def begin(program: Program) -> train.TrainState:
-    return jax.jit(partial(train.begin, program), compiler_options=compiler_options())(jax.random.key(0))
+    """A run whose replay holds what the untrained policy did."""
+
+    def begun(key: jax.Array) -> train.TrainState:
+        epochs = program.config.collect.pretrain_epochs
+        return jax.lax.fori_loop(0, epochs, lambda _, state: train.collect(program, state)[0], train.init(program, key))
+
+    return jax.jit(begun, compiler_options=compiler_options())(jax.random.key(0))
+
+
+def train_on(program: Program, state: train.TrainState, epochs: int) -> train.TrainState:
+    def trained(state: train.TrainState) -> train.TrainState:
+        return jax.lax.fori_loop(0, epochs, lambda _, state: train.train_epoch(program, state)[0], state)
+
+    return jax.jit(trained, compiler_options=compiler_options())(state)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +70,7 @@ def one_update(program: Program, state: train.TrainState, **changes: object):
 
 def test_code_alone_tells_two_tasks_apart(program, begun):
     """Same observation, opposite targets: solved only through the LTEs. The temperature is learnt too."""
-    state, _ = jax.jit(partial(train.train_chunk, program), compiler_options=compiler_options())(begun, jnp.int32(20))
+    state = train_on(program, begun, 20)
     played = play_training_tasks(program, state.learner.policy, jax.random.key(2), 4)
     np.testing.assert_allclose(played.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
 

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from probe import Recall, Slider
-from test_learner import bandit_program, begin
+from test_learner import bandit_program, begin, train_on
 
-from ear_jax import train
 from ear_jax.agents import make_agent
 from ear_jax.config import NetworkConfig
 from ear_jax.evaluate import play_training_tasks
-from ear_jax.runtime import compiler_options
 
 
 def test_an_observation_is_the_last_few_in_their_order_and_the_first_fills_in():
@@ -43,8 +40,7 @@ def test_a_cue_is_recalled_as_far_back_as_the_history_goes(agent, history, best)
     informed = make_agent("ear", history, 1, 2, program.config.network, 0.0)
     knowing = replace(program.agent, value=informed.value, init_critic=informed.init_critic)
     program = replace(program, agent=knowing, learner=replace(program.learner, agent=knowing))
-    chunk = jax.jit(partial(train.train_chunk, program), compiler_options=compiler_options())
-    state, _ = chunk(begin(program), jnp.int32(30))
+    state = train_on(program, begin(program), 30)
     played = play_training_tasks(program, state.learner.policy, jax.random.key(2), 64)
     assert np.mean(played.returns) / 4 == pytest.approx(best, abs=0.03)
 

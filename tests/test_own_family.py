@@ -242,7 +242,7 @@ def test_a_broken_family_is_refused_in_one_line(parts, complaint, monkeypatch):
 
 def test_a_broken_family_is_refused_before_anything_is_compiled(monkeypatch, run_directory):
     monkeypatch.setitem(FAMILIES, "bandit", type("Broken", (Bandit,), {"reward": never}))
-    monkeypatch.setattr(run, "compile_program", lambda *_, **__: pytest.fail("it came to compiling"))
+    monkeypatch.setattr(run, "compile_program", lambda *_: pytest.fail("it came to compiling"))
     with pytest.raises(UsageError, match=r"^bandit: reward\(\) fails"):
         train_run(tiny_config(family="bandit", tasks=()), run_directory)
     assert not run_directory.exists()

@@ -9,9 +9,9 @@ import sys
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from unittest.mock import Mock
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import compiled, tiny_config
@@ -25,12 +25,10 @@ from ear_jax.train import make_program, seed_keys
 pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
-def state_after(config, chunks: int):
+def state_after(config, epochs: int):
     program = compiled(config)
-    state = program.begin(seed_keys(config))
-    for _ in range(chunks):
-        state, _ = program.chunk(state, jnp.int32(2))
-    return state
+    state = run.fill_replay(program, program.init(seed_keys(config)), config.collect.pretrain_epochs)
+    return run.train_epochs(program, state, epochs)[0]
 
 
 def leaves(state) -> list[np.ndarray]:
@@ -43,27 +41,27 @@ def last_state(run: Path, config, warn=pytest.fail) -> train.TrainState:
     return checkpoint.restore(checkpoint.newest(run / "checkpoints", warn), like)
 
 
-def test_chunk_is_traced_once_in_a_run_of_several(tiny, run_directory, monkeypatch):
+def test_each_half_of_an_epoch_is_traced_once_in_a_run(tiny, run_directory, monkeypatch):
     monkeypatch.setattr(run, "compile_program", compile_program)  # one of its own
-    traces = []
-    original = train.train_epoch
-    monkeypatch.setattr(train, "train_epoch", lambda *words: traces.append(1) or original(*words))
+    halves = [Mock(wraps=getattr(train, name)) for name in ("collect", "learn")]
+    monkeypatch.setattr(train, "collect", halves[0])
+    monkeypatch.setattr(train, "learn", halves[1])
     train_run(dataclasses.replace(tiny, epochs=7), run_directory)  # blocks of 2, and a last of 1
     assert len(records.read_rows(run_directory / "metrics.jsonl")) == 4
-    assert len(traces) == 2, "once for the shapes of the metrics and once for the loop"
+    assert [half.call_count for half in halves] == [1, 1]
 
 
 def test_equal_seeds_agree_bit_for_bit_and_different_seeds_differ(tiny):
-    for one, two in zip(leaves(state_after(tiny, 2)), leaves(state_after(tiny, 2)), strict=True):
+    for one, two in zip(leaves(state_after(tiny, 4)), leaves(state_after(tiny, 4)), strict=True):
         np.testing.assert_array_equal(one, two)
-    both = state_after(dataclasses.replace(tiny, seeds=2), 1)
+    both = state_after(dataclasses.replace(tiny, seeds=2), 2)
     policy = jax.tree.leaves(both.learner.policy)
     assert all((leaf[0] != leaf[1]).any() for leaf in policy if np.asarray(leaf[0]).any())
 
 
 def test_a_seed_of_many_equals_that_seed_alone(tiny):
-    many = state_after(dataclasses.replace(tiny, seeds=3), 1)
-    alone = state_after(dataclasses.replace(tiny, seed=2), 1)
+    many = state_after(dataclasses.replace(tiny, seeds=3), 2)
+    alone = state_after(dataclasses.replace(tiny, seed=2), 2)
     for one, two in zip(leaves(many.learner), leaves(alone.learner), strict=True):
         np.testing.assert_allclose(one[2], two[0], rtol=2e-3, atol=2e-5)
 
@@ -163,6 +161,5 @@ def test_fifty_short_runs_of_the_callback_engine_do_not_deadlock():
 
 
 def test_many_runs_in_one_process_do_not_deadlock():
-    keys, program = seed_keys(tiny_config()), compiled(tiny_config())
     for _ in range(50):
-        jax.block_until_ready(program.chunk(program.begin(keys), jnp.int32(1)))
+        jax.block_until_ready(state_after(tiny_config(), 1))
