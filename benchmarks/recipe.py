@@ -1,6 +1,7 @@
-"""Draws `docs/images/recipe.png`: the trials behind the `fast` preset, from `results/recipe.jsonl` alone.
+"""The trials behind the `fast` preset in `docs/fast.md`, a picture and a table, from `results/recipe.jsonl` alone.
 
-A row is one trial: what differed from the first, and its curve as [updates, env steps, seconds, mean return].
+A row is one trial: what differed from the first, which trial it is held against, and its curve as [updates, env steps,
+seconds, mean return].
 """
 
 from __future__ import annotations
@@ -15,8 +16,15 @@ from matplotlib.axes import Axes
 from benchmarks.common import RESULTS
 from ear_jax import records
 from ear_jax.report.figures import COLOURS, STYLE
+from experiments.report import documents
+from experiments.report.blocks import Table
+from experiments.report.markdown import table
+from experiments.report.words import MISSING, NAMES, count, number
 
-PICTURE = RESULTS.parent.parent / "docs" / "images" / "recipe.png"
+DOCUMENT = RESULTS.parent.parent / "docs" / "fast.md"
+PLACE = "trials"
+PICTURE = DOCUMENT.parent / "images" / "recipe.png"
+COLUMNS = ("trial", "of", "held against", "updates", "return", "of the other")
 LINES = ("-", "--", ":", "-.")
 
 
@@ -45,8 +53,22 @@ def _upper(rows: list[dict[str, Any]]) -> tuple[float, float]:
     return first + 0.35 * (best - first), best + 0.03 * (best - first)
 
 
+def trials(rows: list[dict[str, Any]]) -> str:
+    """A line a trial: its return where it ended, or where the trial it is held against did, and that one's."""
+    curves = {(row["family"], row["trial"]): {point[0]: point[3] for point in row["curve"]} for row in rows}
+    lines = []
+    for row in rows:
+        curve, other = curves[row["family"], row["trial"]], curves.get((row["family"], row["beside"]), {})
+        updates = max(set(curve) & set(other or curve))
+        theirs = number(other[updates], 0) if other else MISSING
+        beside = row["beside"] or MISSING
+        lines.append([row["trial"], NAMES[row["family"]], beside, count(updates), number(curve[updates], 0), theirs])
+    return table(Table("", COLUMNS, lines))
+
+
 def main(picture: Path = PICTURE) -> None:
     rows = records.read_rows(RESULTS / "recipe.jsonl")
+    documents.put(DOCUMENT, PLACE, trials(rows))
     families = list(dict.fromkeys(row["family"] for row in rows))
     with plt.rc_context(STYLE):
         figure, grid = plt.subplots(1, len(families), figsize=(4.4 * len(families), 4.4), layout="constrained")

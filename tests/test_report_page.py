@@ -78,15 +78,10 @@ def test_the_committed_records_are_reported_without_jax(tmp_path):
     assert page.images
 
 
-def test_readme_says_what_the_records_say():
-    text = readme.README.read_text()
-    assert text.partition(readme.BEGIN)[2].partition(readme.END)[0] == "\n" + readme.results(Found("fast"))
-
-
 def test_readme_is_rewritten_between_its_markers_alone(place, monkeypatch, capsys):
     record()
     monkeypatch.setattr(readme, "README", place / "README.md")
-    readme.README.write_text(f"before\n{readme.BEGIN}\nold\n{readme.END}\nafter\n")
+    readme.README.write_text("before\n<!-- results -->\nold\n<!-- /results -->\nafter\n")
     assert main(["report", "--readme"]) == 0
     text = readme.README.read_text()
     assert (text.startswith("before\n"), text.endswith("\nafter\n"), "old" in text) == (True, True, False)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ear_jax.errors import RunError
 from experiments.paper import ADAPTATION, CHEETAH, FAMILIES, INTERPOLATION, Analysis
+from experiments.report import documents
 from experiments.report.blocks import Table
 from experiments.report.found import Found, Run
 from experiments.report.markdown import table
@@ -17,26 +17,14 @@ from experiments.report.sections import machine
 from experiments.report.words import MISSING, NAMES, count, number, printed, seeds, span, spread
 
 README = Path(__file__).parents[2] / "README.md"
-BEGIN, END = "<!-- results -->", "<!-- /results -->"
+PLACE = "results"
 MILESTONES = {CHEETAH: (-250, -200, -170)}  # returns, and when training passed them
 SUCCESS = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
 
 
 def rewrite(found: Found) -> None:
-    """Puts the results into README.
-
-    Raises:
-      RunError: README has not the two markers, or cannot be written.
-    """
-    text = README.read_text("utf-8")
-    before, opening, rest = text.partition(BEGIN)
-    _, closing, after = rest.partition(END)
-    if not (opening and closing):
-        raise RunError(f"{README} has no place for the results, between {BEGIN} and {END}")
-    try:
-        README.write_text(f"{before}{BEGIN}\n{results(found)}{END}{after}", encoding="utf-8")
-    except OSError as error:
-        raise RunError(f"cannot write {README}: {error.strerror}") from None
+    """Puts the results into README; raises RunError where it has no place for them, or cannot be written."""
+    documents.put(README, PLACE, results(found))
 
 
 def results(found: Found) -> str:
@@ -44,7 +32,7 @@ def results(found: Found) -> str:
     rows = [row for family in FAMILIES for row in _family(family, found.runs(family))]
     runs = [run for family in FAMILIES for run in found.runs(family)]
     parts = [table(Table("", ("what", "command", "here", "the paper"), rows)), *_machines(runs), *map(_note, runs)]
-    return "\n" + "\n\n".join(filter(None, parts)) + "\n\n"
+    return "\n\n".join(filter(None, parts))
 
 
 def _family(family: str, runs: list[Run]) -> list[list[str]]:

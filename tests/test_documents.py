@@ -1,0 +1,96 @@
+"""What our documents say in numbers is what the records and the tests say; nothing measured stands there unchecked."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_families import MJX_TOLERANCES
+
+from benchmarks import common, recipe
+from ear_jax import records
+from experiments.inventory import RECORDS
+from experiments.report import documents, readme
+from experiments.report.found import Found
+from experiments.report.words import NAMES, number
+
+ROOT = Path(__file__).parents[1]
+CHEETAH = RECORDS / "halfcheetah-vel-ear-fast-seed0"
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+# A number that looks measured: with a unit of time, a share, a ratio, or negative as returns are.
+MEASURED = re.compile(r"−\d[\d.,]*|\d[\d.,]* ?(?:s|seconds?|min|minutes?|hours?|ms|%|times)\b")
+GIVEN = (  # what is set, by us, by the models or by the paper
+    "a minute of training",
+    "a step of 8 ms",
+    "where a step is 8 ms",
+    "some 20 times as large as joint angles",
+    "take 8 times the room",
+    "about 4 times what was measured",
+    "paper's −136.9",
+    "in [−1, 1]",
+)
+
+
+def plain(path: Path) -> str:
+    """A document's own words in one line: without code, and without what is written from records."""
+    text = re.sub(r"<!-- (\w+) -->.*<!-- /\1 -->|```.*?```|`[^`]*`", "", path.read_text(), flags=re.DOTALL)
+    return " ".join(text.split())
+
+
+def said_of_the_cheetah() -> list[str]:
+    """README's words about the run whose figures it shows."""
+    rows = records.read_rows(CHEETAH / "metrics.jsonl")
+
+    def passed(level: float) -> int:
+        return round(next(row["seconds"] for row in rows if row["mean_return"] >= level) / 60)
+
+    evaluated = json.loads((CHEETAH / "evaluation.json").read_text())["mean_return"]
+    last = rows[-1]["seconds"] / 60
+    return [
+        f"past −250 in {passed(-250)} minutes, past −200 in {passed(-200)}, {number(evaluated, 0)} in {last:.0f}",
+        f"{last:.0f} minutes on one CPU core",
+    ]
+
+
+def said_of_commands() -> list[str]:
+    """README's words about how long commands take."""
+    rows: dict[str, dict[str, Any]] = {
+        row["command"]: row for row in records.read_rows(common.RESULTS / "adaptation.jsonl") if not row["quick"]
+    }
+    return [
+        f"99 each, in {rows['interpolate']['seconds']:.0f} seconds",
+        f"2,000 embeddings rolled out in {rows['map']['seconds']:.0f} seconds",
+    ]
+
+
+def test_readme_says_what_the_records_say():
+    assert documents.read(readme.README, readme.PLACE) == readme.results(Found("fast"))
+
+
+@pytest.mark.parametrize("said", [said_of_the_cheetah, said_of_commands])
+def test_readme_says_of_its_figures_what_they_show(said):
+    for words in said():
+        assert words in plain(ROOT / "README.md")
+
+
+def test_the_trials_of_the_recipe_are_those_of_its_rows():
+    rows = records.read_rows(common.RESULTS / "recipe.jsonl")
+    assert documents.read(recipe.DOCUMENT, recipe.PLACE) == recipe.trials(rows)
+
+
+def test_the_error_of_mjx_is_said_to_be_what_its_test_allows():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    for family, tolerances in MJX_TOLERANCES.items():
+        cells = (", ".join(f"{value:g}" for value in numbers) for numbers in tolerances)
+        assert f"| {NAMES[family]} | {' | '.join(cells)} |" in text
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_nothing_that_looks_measured_stands_unchecked(path):
+    text = plain(path)
+    for words in (*said_of_the_cheetah(), *said_of_commands(), *GIVEN):
+        text = text.replace(words, "")
+    assert not MEASURED.findall(text)
