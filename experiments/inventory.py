@@ -1,7 +1,7 @@
 """What of the paper is there: the records of runs, told apart by their settings. Imports no JAX.
 
 A record is a run directory without its checkpoints: `config.json`, `metrics.jsonl`, the policy as `ear export` writes
-it, and a JSON document an analysis.
+it, and a JSON document an analysis, with its picture where that is kept.
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ class Analysis:
     name: str
     command: str
     options: tuple[str, ...] = ()
+    picture: str = ""  # which of the files that the document names is kept beside it
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,11 @@ def between(kind: str, first: str, second: str, *options: str) -> Analysis:
     return Analysis(f"{kind}-{first}-{second}", command, ("--between", first, second, *options))
 
 
+def stills(name: str, first: str, second: str, *options: str) -> Analysis:
+    """Poses along roll-outs of two tasks and blends of them."""
+    return Analysis(name, "render", ("--interpolate", first, second, *options), picture="strip")
+
+
 def numbers() -> dict[str, Any]:
     """The paper's tables by id: `columns`, and `panels` of rows by what they are of."""
     return json.loads(NUMBERS.read_text())
@@ -74,7 +80,7 @@ INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
 ADAPTATION = Analysis("adaptation", "adapt")
 MAP = Analysis("map", "map")
 SENSORY = Analysis("lse", "lse")
-STILLS = Analysis("stills", "render", ("--interpolate", "1", "2"))
+STILLS = stills("stills", "1", "2")
 BETAS = ("--beta", "1.8", "1.5", "1.2", "-0.2", "-0.5", "-0.8")
 MET = tuple(between(f"at-{target}", "2", "3", "--target", target) for target in ("2.2", "2.5", "2.7"))
 SPEEDS_BEYOND = tuple(between("extrapolation", *pair, *BETAS) for pair in (("1", "2"), ("4", "5"), ("9", "10")))
@@ -82,6 +88,10 @@ DIRECTIONS_BEYOND = tuple(
     between("extrapolation", *pair, *BETAS) for pair in (("0", "15"), ("120", "135"), ("270", "285"))
 )
 COMPOSED = tuple(between("composition", *pair, "--steps", "1000") for pair in (("walk", "stand"), ("run", "jump")))
+COMPOSED_STILLS = tuple(
+    stills(f"stills-{first}-{second}", first, second, "--beta", "0.7", "0.6", "0.5", "0.4")
+    for first, second in (("walk", "stand"), ("run", "jump"))
+)
 
 TABLES = (
     Experiment(
@@ -114,7 +124,7 @@ TABLES = (
 FIGURES = (
     Experiment("figure-2", "returns during training", methods(FAMILIES, agents=OFF_POLICY)),
     Experiment("figure-3", "stills of interpolated running", methods((CHEETAH,), STILLS), seeds=1),
-    Experiment("figure-4", "stills of composed motions", methods((RUN_JUMP,), *COMPOSED), seeds=1),
+    Experiment("figure-4", "stills of composed motions", methods((RUN_JUMP,), *COMPOSED, *COMPOSED_STILLS), seeds=1),
     Experiment(
         "figure-5",
         "adaptation to unseen tasks",

@@ -19,6 +19,7 @@ from ear_jax.errors import RunError
 from ear_jax.stopping import Stopped
 from experiments.commands import RUNS, analysis_words, export_words, is_recorded, train_words
 from experiments.inventory import Job, is_trained, is_whole, missing
+from experiments.paper import Analysis
 
 
 def absent(job: Job) -> list[str]:
@@ -60,12 +61,17 @@ def make_whole(job: Job) -> None:
         keep_training(job)
         run_ear(export_words(job))
     for analysis in missing(job):
-        words = analysis_words(job, analysis)
-        document = json.loads(run_ear(words))
-        command = shlex.join(["ear", *words])
-        records.write_json(
-            job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()}
-        )
+        analyse(job, analysis)
+
+
+def analyse(job: Job, analysis: Analysis) -> None:
+    """Adds an analysis to the record of a job; raises as `run_ear`."""
+    words = analysis_words(job, analysis)
+    document = json.loads(run_ear(words))
+    if analysis.picture:
+        shutil.copyfile(document["files"][analysis.picture], job.record / f"{analysis.name}.png")
+    command = shlex.join(["ear", *words])
+    records.write_json(job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()})
 
 
 def _is_kept(job: Job) -> bool:

@@ -132,14 +132,16 @@ def test_extrapolation_composition_and_all_pictures(place):
     signal = {"explained": [0.6, 0.2], "period": 0.2, "autocorrelation_peak": 0.9, "path": [[0, 1], [1, 0]]}
     signal["autocorrelation"] = [1.0, 0.5]
     add(directory, "lse", task="vel-5", dt=0.05, seeds=[{"seed": 0, "state": signal, "lse": signal}])
-    add(directory, "stills", scenes=[{"name": "β = 0.5", "outcome": 1.5, "steps": 100}])
+    scenes = [{"name": "β = 0.5", "outcome": 1.5, "steps": 100}]
+    add(directory, "stills", commanded=commanded, scenes=scenes, seeds=[])
+    (directory / "stills.png").write_bytes(b"a strip")
     outcome = {"velocity": -1.0, "height": 0.3, "squared_action": 1.0}
     blend = {"beta": 0.5, "outcome": outcome, "contact": {"hind": 0.5}, "airborne": 0.25, "pattern": [[1], [0]]}
     composed = {"between": ["back-1", "jump-1"], "steps": 1000, "dt": 0.05, "commanded": commanded, "feet": ["hind"]}
     add(record("halfcheetah-run-jump"), COMPOSED[0].name, **composed, seeds=[{"seed": 0, "blends": [blend]}])
     assert cells(section("table-6", place / "out"), "-0.8".replace("-", "−"))[1:] == ["2.35", "3.80"]
     assert cells(section("table-10", place / "out"), "0.5") == ["0.5", "−1.00", "0.30", "50 %", "25 %"]
-    assert "| β = 0.5 | 1.50 | 100 | seed 0 |" in section("figure-3", place / "out")
+    assert "100 steps from one start: β = 0.5 1.50 m/s, seed 0." in section("figure-3", place / "out")
     assert cells(section("figure-5", place / "out"), "HalfCheetah-Vel, EAR-SAC, seed 0")[1:5] == [
         "3.50",
         "3.40",
@@ -154,6 +156,7 @@ def test_extrapolation_composition_and_all_pictures(place):
             f"figures/{name}.png"
             for name in ("sphere_seed0", "map_seed0", "lse_seed0", "compose_back-1_to_jump-1_seed0")
         ),
+        f"figures/{directory.name}-stills.png",
     }
 
 

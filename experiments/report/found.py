@@ -6,6 +6,7 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from ear_jax import records
@@ -28,6 +29,10 @@ class Run:
     seed: int
     made: dict[str, Any]  # its config.json
     rows: list[dict[str, Any]]  # its metrics, a row a block
+
+    @property
+    def place(self) -> Path:
+        return inventory.RECORDS / self.name
 
     @property
     def last(self) -> dict[str, Any]:
@@ -65,7 +70,7 @@ class Run:
         Raises:
           RunError: it is there and is no JSON document.
         """
-        path = inventory.RECORDS / self.name / f"{name}.json"
+        path = self.place / f"{name}.json"
         if not path.is_file():
             return None
         return _read(path)

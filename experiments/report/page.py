@@ -24,6 +24,9 @@ nav ul { columns: 21rem; column-gap: 2rem; max-width: none; padding: 0; margin: 
 nav li { break-inside: avoid; padding: .12rem 0; }
 .lack { color: var(--dim); font-size: .9em; white-space: nowrap; }
 .box { overflow-x: auto; margin: .4rem 0 1.2rem; border: 1px solid var(--line); border-radius: 6px; }
+.box { background: linear-gradient(90deg, white 30%, #fff0) local, linear-gradient(270deg, white 30%, #fff0) 100% local,
+  linear-gradient(90deg, #0003, #0000), linear-gradient(270deg, #0003, #0000) 100%; }
+.box { background-size: 2.5rem 100%, 2.5rem 100%, .7rem 100%, .7rem 100%; background-repeat: no-repeat; }
 .box:focus-visible { outline: 2px solid var(--link); }
 table { border-collapse: collapse; width: 100%; font-size: .875rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .38rem .7rem; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from ear_jax.report.gaits import draw_gaits
 from ear_jax.report.maps import draw_map
 from ear_jax.report.signals import draw_signals
-from experiments.paper import CHEETAH, COMPOSED, EXPERIMENTS, RUN_JUMP, Method
+from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis, Method
 from experiments.report.blocks import Block, Picture, Table
 from experiments.report.figures import Lines, adaptation_curves, draw_panels, task_curves, training_curves
 from experiments.report.found import Found, Run
@@ -112,23 +113,36 @@ def _drawn(runs: list[Run], name: str, caption: str, draw: Callable[[Path, Any],
 
 
 def stills(id: str, found: Found, out: Path) -> list[Block]:
-    """Figure 3: what was seen; the strips themselves are no part of a record."""
-    rows = []
-    for run in found.runs(CHEETAH):
-        document = run.document("stills")
-        for scene in document["scenes"] if document else ():
-            rows.append([scene["name"], number(scene["outcome"], 2), str(scene["steps"]), f"seed {run.seed}"])
-    if not rows:
-        return []
-    caption = "Scenes of the strip that `ear render RUN --interpolate 1 2` draws; pictures are not kept with a record."
-    return [Table(caption, ("scene", "velocity (m/s)", "steps", "run"), rows)]
+    """Figure 3."""
+    return _strips(found.runs(CHEETAH), STILLS, out)
+
+
+def _strips(runs: list[Run], analysis: Analysis, out: Path) -> list[Block]:
+    """The pictures that records keep, with what is seen on them."""
+    blocks: list[Block] = []
+    for run in runs:
+        document, kept = run.document(analysis.name), run.place / f"{analysis.name}.png"
+        if document and kept.is_file():
+            (out / FOLDER).mkdir(parents=True, exist_ok=True)
+            file = f"{FOLDER}/{run.name}-{kept.name}"
+            shutil.copyfile(kept, out / file)
+            blocks.append(Picture(file, f"{_seen(document)}, seed {run.seed}."))
+    return blocks
+
+
+def _seen(document: dict[str, Any]) -> str:
+    """A strip in words, from its top row to its last."""
+    unit = document["commanded"]["unit"]
+    scenes = (f"{scene['name']} {number(scene['outcome'], 2)} {unit}" for scene in document["scenes"])
+    return f"{document['scenes'][0]['steps']} steps from one start: {', '.join(scenes)}"
 
 
 def composed(id: str, found: Found, out: Path) -> list[Block]:
     """Figure 4."""
     caption = "Outcomes along β, means over the second half of the roll-out, and which feet are down"
     runs = found.runs(RUN_JUMP)
-    return [block for one in COMPOSED for block in _drawn(runs, one.name, caption, draw_gaits, out)]
+    strips = [block for one in COMPOSED_STILLS for block in _strips(runs, one, out)]
+    return strips + [block for one in COMPOSED for block in _drawn(runs, one.name, caption, draw_gaits, out)]
 
 
 def sensory(id: str, found: Found, out: Path) -> list[Block]:
