@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 
@@ -28,14 +29,19 @@ def is_recorded(job: Job) -> bool:
 
 def export_words(job: Job) -> list[str]:
     """The `ear` command that puts a run's policy into its record."""
-    return ["export", str(RUNS / job.name), str(job.policy)]
+    return ["export", str(RUNS / job.name), _from_here(job.policy)]
 
 
 def analysis_words(job: Job, analysis: Analysis) -> list[str]:
     """The `ear` command that makes an analysis of a job's run or, where that is not the recorded one, of the policy."""
     run = RUNS / job.name
-    holder = job.policy if job.policy.is_file() and not is_recorded(job) else run
-    return [analysis.command, str(holder), *analysis.options, "--json"]
+    holder = _from_here(job.policy) if job.policy.is_file() and not is_recorded(job) else str(run)
+    return [analysis.command, holder, *analysis.options, "--json"]
+
+
+def _from_here(path: Path) -> str:
+    """As a command in this directory names it: records keep commands, and no record is of one machine."""
+    return os.path.relpath(path)
 
 
 def command_line(config: Config) -> str:

@@ -63,7 +63,7 @@ def between(kind: str, first: str, second: str, *options: str) -> Analysis:
 
 def stills(name: str, first: str, second: str, *options: str) -> Analysis:
     """Poses along roll-outs of two tasks and blends of them."""
-    return Analysis(name, "render", ("--interpolate", first, second, *options), picture="strip")
+    return Analysis(name, "render", ("--interpolate", first, second, *options, "--no-film"), picture="strip")
 
 
 def numbers() -> dict[str, Any]:

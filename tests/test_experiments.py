@@ -158,7 +158,7 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     runs = [f"ant-dir-ear-fast{ablation}-seed0" for ablation in ("", "+no-noise")]
     train, evaluate = "train ant-dir --agent ear --preset fast", "evaluate runs/{} --episodes 5 --json"
-    export = f"export runs/{{0}} {inventory.RECORDS}/{{0}}/policy.safetensors"
+    export = "export runs/{0} records/{0}/policy.safetensors"
     assert workplace == [
         f"{train} --seed 0",
         export.format(runs[0]),
@@ -185,7 +185,7 @@ def test_a_record_is_analysed_where_its_run_is_not(workplace, tmp_path):
     shutil.rmtree(tmp_path / "runs")
     workplace.clear()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    assert workplace == [f"evaluate {record / 'policy.safetensors'} --episodes 5 --json"]
+    assert workplace == [f"evaluate records/{record.name}/policy.safetensors --episodes 5 --json"]
 
 
 def test_a_record_is_not_analysed_by_another_run_of_its_name(workplace, tmp_path):
@@ -196,7 +196,7 @@ def test_a_record_is_not_analysed_by_another_run_of_its_name(workplace, tmp_path
         rows.write('{"epoch": 999}\n')
     workplace.clear()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    assert workplace == [f"evaluate {record / 'policy.safetensors'} --episodes 5 --json"]
+    assert workplace == [f"evaluate records/{record.name}/policy.safetensors --episodes 5 --json"]
 
 
 def test_training_anew_drops_what_was_said_of_the_run_before(workplace):

@@ -233,6 +233,8 @@ def test_render_writes_pictures_and_one_json_document(run, capsys):
         assert Path(path).stat().st_size > 1000
     with Image.open(document["files"]["gif"]) as gif:
         assert gif.size == (480, 3 * 160)
+    assert main(["render", str(run), "--task", "1", "--no-film", "--steps", "3", "--json"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["files"]) == ["strip"]
 
 
 @pytest.mark.usefixtures("no_gl")

@@ -46,6 +46,8 @@ class RenderCommand:
     """The blends, 0.75 0.5 0.25 if not given: 1 is the first task, 0 the second; outside [0, 1] they extrapolate."""
     along: Literal["chord", "arc"] = "chord"
     """The paper's normalised sum, or the great circle."""
+    film: bool = True
+    """GIF and MP4 beside the strip; --no-film leaves them out, which take most of the time."""
     steps: int = 100
     """Environment steps, as many as in the paper's figure 3."""
     seed: int = 0
@@ -79,7 +81,8 @@ def main(words: list[str]) -> None:
     with phase("rolling out"):
         codes = jnp.stack([scene.code for scene in scenes])
         trajectories = follow(program, policy, codes, command.steps, jax.random.key(command.seed))
-    files = _draw(trained.directory, _file_name(command, scenes), program.family, scenes, trajectories)
+    name = _file_name(command, scenes)
+    files = _draw(trained.directory, name, program.family, scenes, trajectories, command.film)
     if not command.json:
         print("pictures: " + ", ".join(map(str, files.values())))
         return
@@ -145,20 +148,25 @@ def _file_name(command: RenderCommand, scenes: list[Scene]) -> str:
     return re.sub(r"[^\w.-]+", "_", name)
 
 
-def _draw(run: Path, name: str, family: Family, scenes: list[Scene], trajectories: list[Trajectory]) -> dict[str, Path]:
+def _draw(
+    run: Path, name: str, family: Family, scenes: list[Scene], trajectories: list[Trajectory], filmed: bool
+) -> dict[str, Path]:
     """Writes strip and films; without OpenGL only the strip, as sticks, and then raises RunError."""
-    figures, videos = records.folder(run / "figures"), records.folder(run / "videos")
+    figures = records.folder(run / "figures")
     labels = [_label(family, *pair) for pair in zip(scenes, trajectories, strict=True)]
     strip = arrange(family.model, trajectories, labels, family.dt)
     path = figures / f"strip_{name}.png"
     try:
         with phase("drawing the strip"):
             draw_strip(path, photograph(strip), strip.bounds, strip.note)
+        if not filmed:
+            return {"strip": path}
         with phase("filming"):
             pictures, seconds = film(family.model, trajectories, [scene.name for scene in scenes], family.dt)
     except RunError as error:
         draw_strip(path, strip.panels, strip.bounds, strip.note)
         raise RunError(f"{error}; without it there is {path}, and no film") from None
+    videos = records.folder(run / "videos")
     files = {"strip": path, "gif": write_gif(videos / f"{name}.gif", pictures, seconds)}
     film_mp4 = write_mp4(videos / f"{name}.mp4", pictures, seconds)
     if film_mp4:
