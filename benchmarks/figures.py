@@ -115,8 +115,8 @@ def draw_startup(axes: Axes, rows: list[Row]) -> None:
 def draw_peers(axes: Axes, rows: list[Row]) -> None:
     """Time of an update beside PyTorch's."""
     rows = [row for row in rows if row["what"] == "update"]
-    parts = (("ours", COLOURS[0], "ours_ms"), ("PyTorch", COLOURS[1], "torch_ms"))
-    parts += (("PyTorch, bf16", COLOURS[2], "torch_bf16_ms"),)
+    parts = (("ours", COLOURS[0], "ours_ms"), ("ours, bf16", COLOURS[3], "ours_bf16_ms"))
+    parts += (("PyTorch", COLOURS[1], "torch_ms"), ("PyTorch, bf16", COLOURS[2], "torch_bf16_ms"))
     renamed = [(label, colour, [_rename(row, key) for row in rows]) for label, colour, key in parts]
     bars(axes, [row["preset"] for row in rows], renamed, "ms")
     axes.set(ylabel="time of one update (ms)", title="The same update in plain PyTorch")
@@ -143,7 +143,10 @@ def _lines(family: str) -> str:
     return family.replace("halfcheetah", "cheetah").replace("-", "\n", 1)
 
 
-def _rename(row: Row, key: str) -> Row:
+def _rename(row: Row, key: str) -> Row | None:
+    """The figure under `key` as `ms`; None where the row has it not."""
+    if key not in row:
+        return None
     return {f"ms{end}": row[f"{key}{end}"] for end in ("", "_min", "_max")}
 
 
