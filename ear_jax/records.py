@@ -19,6 +19,7 @@ from typing import Any
 
 from ear_jax.errors import RunError, UsageError
 
+RESULTS = ("experiments/records", "benchmarks/results")  # where a checkout keeps what it found out
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "orbax-checkpoint", "numpy", "gymnasium")
 
 
@@ -111,7 +112,7 @@ def versions() -> dict[str, str | None]:
 
 
 def commit() -> str | None:
-    """This checkout's commit, marked where files differ from it; None outside a checkout."""
+    """This checkout's commit, marked where its files differ, results left aside; None outside a checkout."""
     here = Path(__file__).resolve().parent
 
     def git(*words: str) -> str:
@@ -119,7 +120,8 @@ def commit() -> str | None:
         return done.stdout.strip()
 
     try:
-        return git("rev-parse", "--short=12", "HEAD") + ("+changes" if git("status", "--porcelain", "-uno") else "")
+        changed = git("status", "--porcelain", "-uno", "--", ":/", *(f":(top,exclude){place}" for place in RESULTS))
+        return git("rev-parse", "--short=12", "HEAD") + ("+changes" if changed else "")
     except (OSError, subprocess.SubprocessError):
         return None
 
