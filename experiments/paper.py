@@ -1,4 +1,4 @@
-"""The paper's tables and figures by number, each with the runs it needs. Data; imports no JAX.
+"""The paper's tables and figures by number, and what we add, each with the runs it needs. Data; imports no JAX.
 
 What the paper's tables say stands in `paper.json`: by id the columns, and the rows of each panel (of a seed, or of two
 tasks). The paper's figures are curves and pictures and give no numbers; its figure 1 draws the idea and needs no run.
@@ -142,4 +142,13 @@ FIGURES = (
         "figure-14", "adaptation without normalisation", methods((ANT,), ADAPTATION, ablations=("", "+no-norm"))
     ),
 )
-EXPERIMENTS = {experiment.id: experiment for experiment in (*TABLES, *FIGURES)}
+OURS = (
+    Experiment(
+        "agents",
+        "all agents and ablations on HalfCheetah-Vel, equal budget",
+        methods((CHEETAH,), EVALUATION, agents=("ear", "onehot", "onehot-blind", "multihead", "ear-rnn"))
+        + methods((CHEETAH,), EVALUATION, ablations=("+no-noise", "+no-norm", "+no-noise+no-norm")),
+        seeds=2,
+    ),
+)
+EXPERIMENTS = {experiment.id: experiment for experiment in (*TABLES, *FIGURES, *OURS)}

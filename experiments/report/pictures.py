@@ -11,14 +11,13 @@ from typing import Any
 from ear_jax.report.gaits import draw_gaits
 from ear_jax.report.maps import draw_map
 from ear_jax.report.signals import draw_signals
-from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis, Method
+from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis
 from experiments.report.blocks import Block, Picture, Table
 from experiments.report.figures import Lines, adaptation_curves, draw_panels, task_curves, training_curves
 from experiments.report.found import Found, Run
 from experiments.report.measures import paper_return
-from experiments.report.words import NAMES, number
+from experiments.report.words import NAMES, label, number
 
-ABLATIONS = {"": "", "+no-noise": " without LTE noise", "+no-norm": " without normalisation"}
 FOLDER = "figures"
 
 
@@ -28,12 +27,8 @@ def _panels(id: str, found: Found, has: Callable[[Run], Any]) -> dict[str, Lines
     for method in EXPERIMENTS[id].methods:
         runs = [run for run in found.of(method) if has(run)]
         if runs:
-            panels.setdefault(method.family, {})[_label(method)] = runs
+            panels.setdefault(method.family, {})[label(method)] = runs
     return panels
-
-
-def _label(method: Method) -> str:
-    return NAMES[method.agent] + ABLATIONS[method.ablation]
 
 
 def training(id: str, found: Found, out: Path) -> list[Block]:

@@ -20,7 +20,7 @@ from experiments.paper import (
 from experiments.report import blends, pictures, settings, tables
 from experiments.report.blocks import Block, Section, Table
 from experiments.report.found import Found, Run
-from experiments.report.words import MISSING, NAMES, NO_RUN, count, lack, number
+from experiments.report.words import MISSING, NAMES, NO_RUN, count, label, lack, number
 
 BEYOND = {CHEETAH: SPEEDS_BEYOND, ANT: DIRECTIONS_BEYOND}
 FAMILIES = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
@@ -35,6 +35,7 @@ TABLES: dict[str, Callable[[Found], list[Block]]] = {
     "table-8": tables.failures,
     "table-9": tables.normalisation,
     "table-10": blends.composition,
+    "agents": tables.agents,
     **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(FAMILIES)},
     **{
         f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(FAMILIES)
@@ -81,7 +82,7 @@ def _runs_behind(experiment: Experiment, found: Found) -> Table:
             rows.append([run.name, run.command, *facts(run)])
             rows += [[f"{run.name}: {one.name}", *_made(run.document(one.name))] for one in method.analyses]
         if not runs:
-            name = f"{NAMES[method.family]}, {NAMES[method.agent]}{pictures.ABLATIONS[method.ablation]}"
+            name = f"{NAMES[method.family]}, {label(method)}"
             rows.append([name, NO_RUN, *[MISSING] * 5])
     rows = [[name, f"`{command}`" if command.startswith("ear ") else command, *rest] for name, command, *rest in rows]
     columns = ("run", "command", "env steps", "updates", "minutes", "commit", "machine")

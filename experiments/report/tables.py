@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from experiments.paper import ANT, EXPERIMENTS, FAMILIES, numbers
+from experiments.paper import ANT, EXPERIMENTS, FAMILIES, Method, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.found import Found, Run
 from experiments.report.measures import (
@@ -17,7 +17,20 @@ from experiments.report.measures import (
     score_table,
     successes,
 )
-from experiments.report.words import MISSING, NAMES, NO_RUN, count, interval, lack, number, printed, seeds, span, spread
+from experiments.report.words import (
+    MISSING,
+    NAMES,
+    NO_RUN,
+    count,
+    interval,
+    label,
+    lack,
+    number,
+    printed,
+    seeds,
+    span,
+    spread,
+)
 from experiments.statistics import interquartile_mean, probability_of_improvement
 
 MEASURES = {"mid_task": "mid-task", "one_to_one": "1:1"}
@@ -25,40 +38,37 @@ MEASURES = {"mid_task": "mid-task", "one_to_one": "1:1"}
 
 def returns(found: Found) -> list[Block]:
     """Table 1, a table a family."""
-    agents = list(dict.fromkeys(method.agent for method in EXPERIMENTS["table-1"].methods))
-    return [_family_returns(found, family, agents) for family in FAMILIES]
+    methods = EXPERIMENTS["table-1"].methods
+    return [_family_returns(found, family, [one for one in methods if one.family == family]) for family in FAMILIES]
 
 
-def _family_returns(found: Found, family: str, agents: list[str]) -> Table:
-    ear = found.runs(family)
-    rows = []
-    for agent in agents:
-        runs, paper = found.runs(family, agent), paper_return(family, agent)
-        cells = [NAMES[agent], printed(paper) if paper else MISSING]
-        if not runs:
-            rows.append([*cells, NO_RUN, *[MISSING] * 6])
-            continue
-        scores = score_table(runs)
-        better = MISSING
-        if agent != "ear" and ear:
-            better = interval(probability_of_improvement, score_table(ear), scores, digits=2)
-        rows.append(
-            [
-                *cells,
-                spread([mean_return(run) for run in runs]),
-                interval(interquartile_mean, scores),
-                better,
-                seeds(runs),
-                *budget(runs),
-            ]
-        )
+def agents(found: Found) -> list[Block]:
+    """Ours: every agent and ablation on one family."""
+    methods = EXPERIMENTS["agents"].methods
+    return [_family_returns(found, methods[0].family, list(methods))]
+
+
+def _family_returns(found: Found, family: str, methods: list[Method]) -> Table:
     steps, updates = paper_budget(family)
     caption = (
         f"{NAMES[family]}: return, mean over the training tasks. The paper: 3 seeds, for EAR-SAC {count(steps)} env "
         f"steps and {count(updates)} updates. Ours: as `ear evaluate` has it, or else the last evaluation of training."
     )
     heads = ("ours", "IQM [95 %]", "P(EAR better) [95 %]", "seeds", "env steps", "updates", "minutes")
+    rows = [_method_returns(method, found.of(method), found.runs(family)) for method in methods]
     return Table(caption, ("method", "paper", *heads), rows)
+
+
+def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str]:
+    paper = None if method.ablation else paper_return(method.family, method.agent)
+    cells = [label(method), printed(paper) if paper else MISSING]
+    if not runs:
+        return [*cells, NO_RUN, *[MISSING] * 6]
+    scores, better = score_table(runs), MISSING
+    if ear and runs != ear:
+        better = interval(probability_of_improvement, score_table(ear), scores, digits=2)
+    reached = spread([mean_return(run) for run in runs])
+    return [*cells, reached, interval(interquartile_mean, scores), better, seeds(runs), *budget(runs)]
 
 
 def budget(runs: Sequence[Run]) -> list[str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.paper import Method
 from experiments.statistics import bootstrap_interval
 
 MISSING = "—"
@@ -27,6 +28,19 @@ NAMES = {
     "onehot": "OHE-SAC",
     "onehot-blind": "OHE-SAC, one-hot zeroed",
 }
+
+
+ABLATIONS = {
+    "": "",
+    "+no-noise": " without LTE noise",
+    "+no-norm": " without normalisation",
+    "+no-noise+no-norm": " without either",
+}
+
+
+def label(method: Method) -> str:
+    """An agent, and what is left out of it."""
+    return NAMES[method.agent] + ABLATIONS[method.ablation]
 
 
 def number(value: float, digits: int = 1) -> str:
