@@ -32,7 +32,7 @@ def import_seconds(module: str) -> float:
 
 
 def first_row_seconds(cache: Path, settings: tuple[str, ...]) -> dict[str, float]:
-    """One training of one epoch: seconds by phase, to the first row (`total`), and to the end of the process."""
+    """One training of one epoch: seconds by phase, to the first epoch, to the first row (`total`), and to the end."""
     with tempfile.TemporaryDirectory() as scratch:
         run = Path(scratch) / "run"
         words = ("train", "halfcheetah-vel", "--epochs", "1", "--log.epochs", "1", "--out", str(run), *settings)
@@ -51,7 +51,8 @@ def first_row_seconds(cache: Path, settings: tuple[str, ...]) -> dict[str, float
         reader.join()
     if code or total is None:
         raise RuntimeError(f"ear train failed ({code}): " + "".join(line for _, line in lines))
-    return {**_phases(lines, total), "total": total, "exit": ended}
+    phases = _phases(lines, total)
+    return {**phases, "before_training": total - phases["first_block"], "total": total, "exit": ended}
 
 
 def _wait_for_row(process: subprocess.Popen, path: Path, began: float) -> float | None:

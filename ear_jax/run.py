@@ -95,7 +95,10 @@ def _standing(directory: Path, program: Program, warn: Callable[[str], None]) ->
 
 
 def compile_program(program: Program, keys: jax.Array) -> Compiled:
-    """Compiles everything a run calls, side by side; keys are of the seeds, [seeds]."""
+    """Compiles what a run trains with, one program while the next is traced; keys are of the seeds, [seeds].
+
+    Evaluation is compiled where it is first needed, after a block.
+    """
     seeds = len(keys)
 
     def evaluate(policy: Params, key: jax.Array) -> Episodes:
@@ -106,9 +109,9 @@ def compile_program(program: Program, keys: jax.Array) -> Compiled:
     learn = over_seeds(partial(train.learn, program), seeds, (0,), donate_argnums=0)
     play = over_seeds(evaluate, seeds, (0, 0))
     state = jax.eval_shape(init, keys)
-    lowered = [collect.lower(state), play.lower(state.learner.policy, keys), learn.lower(state), init.lower(keys)]
     with ThreadPoolExecutor() as pool:
-        collect, play, learn, init = pool.map(lambda one: one.compile(), lowered)
+        lowered = (one.lower(given) for one, given in ((collect, state), (learn, state), (init, keys)))
+        collect, learn, init = (one.result() for one in [pool.submit(one.compile) for one in lowered])
     return Compiled(init, collect, learn, play, state)
 
 
