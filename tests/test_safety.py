@@ -37,7 +37,7 @@ ALLOWED = {
     ("envs/registry.py", "exec_module"),
     ("envs/registry.py", "entry_points"),  # a family that an installed package offers
 }
-OURS = {("run.py", "compile"), ("physics/models.py", "compile")}  # of JAX's and MuJoCo's objects
+OURS = {("physics/models.py", "compile")}  # of a MuJoCo object
 
 
 def words_of(path: Path) -> set[str]:
