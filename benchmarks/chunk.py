@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from benchmarks import common
 from benchmarks.update import filled
-from ear_jax import replay, runtime, train
+from ear_jax import replay, run, runtime, train
 from ear_jax.config import Config
 from ear_jax.grid import Grid, Transition
 from ear_jax.learner import LearnerState
@@ -41,7 +41,7 @@ def update(program: Program, state: TrainState) -> LearnerState:
     return jax.lax.scan(lambda carry, drawn: program.learner.update(carry, state.replay, drawn), learner, draws)[0]
 
 
-def _repeat(step: Step, carried: Any) -> Callable[[], None]:
+def repeat(step: Step, carried: Any) -> Callable[[], None]:
     """A call that steps from where the last one left; `carried` is given away."""
 
     def run() -> None:
@@ -51,6 +51,12 @@ def _repeat(step: Step, carried: Any) -> Callable[[], None]:
     return run
 
 
+def epoch_run(program: Program, state: TrainState) -> Callable[[], None]:
+    """A call that trains for an epoch as runs do; `state`, leaves [seeds, …], is given away."""
+    compiled = run.compile_program(program, train.seed_keys(program.config))
+    return repeat(lambda state: run.train_epochs(compiled, state, 1)[0], state)
+
+
 def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, Callable[[], Any]]:
     """The parts and the whole of an epoch; leaves are [seeds, …]."""
     compiled = partial(jax.jit, compiler_options=runtime.compiler_options())
@@ -58,15 +64,12 @@ def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, C
     rolled_out, updated = (compiled(jax.vmap(partial(part, program))) for part in (collect, update))
     transitions = rolled_out(state)
     add = compiled(jax.vmap(replay.add), donate_argnums=0)
-    collecting, learning = (
-        compiled(jax.vmap(partial(half, program)), donate_argnums=0) for half in (train.collect, train.learn)
-    )
     rings: Replay = jax.tree.map(jnp.copy, state.replay)
     return {
         "collect": lambda: jax.block_until_ready(rolled_out(state)),
-        "add": _repeat(lambda buffer: add(buffer, transitions), rings),
+        "add": repeat(lambda buffer: add(buffer, transitions), rings),
         "update": lambda: jax.block_until_ready(updated(state)),
-        "whole": _repeat(lambda state: learning(collecting(state)[0])[0], start()),
+        "whole": epoch_run(program, start()),
     }
 
 

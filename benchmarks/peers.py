@@ -23,8 +23,9 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks import common
+from benchmarks.chunk import epoch_run
 from benchmarks.update import filled, update_run
-from ear_jax import networks, runtime, train
+from ear_jax import networks, train
 from ear_jax.config import Config
 from ear_jax.presets import preset_config
 
@@ -114,16 +115,14 @@ def measure_sac(options: argparse.Namespace, steps: int, repeats: int) -> None:
     config = sac_config(envs, steps)
     program = train.make_program(config)
     state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
-    epoch = jax.jit(
-        jax.vmap(lambda state: train.train_epoch(program, state)[0]), compiler_options=runtime.compiler_options()
-    )
-    jax.block_until_ready(epoch(state))
+    epoch = epoch_run(program, state)
+    epoch()
     network = config.network
     asked = {"envs": envs, "width": network.width, "layers": network.critic_layers, "batch_size": 256, "steps": steps}
     ours, theirs, version = [], [], ""
     for _ in range(repeats):
         began = time.perf_counter()
-        jax.block_until_ready(epoch(state))
+        epoch()
         ours.append(steps / (time.perf_counter() - began))
         answer = ask("peer_sbx.py", asked)
         theirs.append(answer["steps_per_second"])

@@ -8,10 +8,12 @@ from functools import partial
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
 from benchmarks import common
+from benchmarks.chunk import epoch_run
 from benchmarks.update import filled
-from ear_jax import checkpoint, runtime, train
+from ear_jax import checkpoint, train
 from ear_jax.presets import preset_config
 
 
@@ -19,14 +21,12 @@ def measure(options: argparse.Namespace, repeats: int) -> None:
     config = preset_config("halfcheetah-vel", "fast")
     program = train.make_program(config)
     state = jax.block_until_ready(jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config)))
-    compiled = partial(jax.jit, compiler_options=runtime.compiler_options())
-    epoch = compiled(jax.vmap(lambda state: train.train_epoch(program, state)[0]))
     epochs = config.log.epochs * config.checkpoint.blocks
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch)
         contenders = {
             "save": lambda: checkpoint.save(directory, config.epochs, state, {}),
-            "epoch": lambda: jax.block_until_ready(epoch(state)),
+            "epoch": epoch_run(program, jax.tree.map(jnp.copy, state)),
         }
         timings = common.alternate(contenders, repeats)
         size = sum(path.stat().st_size for path in directory.rglob("*") if path.is_file())

@@ -141,12 +141,5 @@ def learn(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
     return state, {**jax.tree.map(jnp.mean, watched), **learner.norms, "sound_updates": sound}
 
 
-def train_epoch(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
-    """One epoch of one seed: collect, then learn."""
-    state, collected = collect(program, state)
-    state, learnt = learn(program, state)
-    return state, {**collected, **learnt}
-
-
 def _whole(transition: Transition) -> Transition:
     return transition

@@ -46,8 +46,11 @@ def begin(program: Program) -> train.TrainState:
 
 
 def train_on(program: Program, state: train.TrainState, epochs: int) -> train.TrainState:
+    def epoch(state: train.TrainState) -> train.TrainState:
+        return train.learn(program, train.collect(program, state)[0])[0]
+
     def trained(state: train.TrainState) -> train.TrainState:
-        return jax.lax.fori_loop(0, epochs, lambda _, state: train.train_epoch(program, state)[0], state)
+        return jax.lax.fori_loop(0, epochs, lambda _, state: epoch(state), state)
 
     return jax.jit(trained, compiler_options=compiler_options())(state)
 
