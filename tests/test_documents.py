@@ -59,7 +59,11 @@ def said_of_the_ant() -> list[str]:
     """How fast it is, in metres a second, as `docs/fast.md` has it."""
     tasks = json.loads((RECORDS / "ant-dir-ear-fast-seed0" / "evaluation.json").read_text())["seeds"][0]["tasks"]
     speeds = [math.hypot(task["outcome"]["velocity_x"], task["outcome"]["velocity_y"]) for task in tasks]
-    return [f"some {sum(speeds) / len(speeds):.0f} m/s where the paper's return needs 6"]
+    fast, slow = sum(speed > 5.5 for speed in speeds), sum(round(speed) == 4 for speed in speeds)
+    return [
+        f"In {fast} of its {len(speeds)} directions,",
+        f"more than 5.5 m/s, as the paper's return needs; in {slow} at some 4 m/s",
+    ]
 
 
 def said_of_commands() -> list[str]:
