@@ -64,13 +64,13 @@ def said_of_the_ant() -> list[str]:
         speeds = [math.hypot(outcome["velocity_x"], outcome["velocity_y"]) for outcome in outcomes]
         return number(found["mean_return"], 0), speeds
 
-    (first, speeds), (second, seconds), (third, thirds) = map(evaluated, range(3))
+    (first, speeds), (second, others), (third, more) = map(evaluated, range(3))
     fast, slow = sum(speed > 5.5 for speed in speeds), sum(round(speed) == 4 for speed in speeds)
     return [
         f"Seed 0 returns {first}, seeds 1 and 2 {second} and {third}",
         f"In {fast} of its {len(speeds)} directions,",
         f"more than 5.5 m/s, as the paper's return needs; in {slow} at some 4 m/s",
-        f"The other seeds run at {max(seconds + thirds):.0f} m/s at most",
+        f"The other seeds run at {max(others + more):.0f} m/s at most",
     ]
 
 
