@@ -50,6 +50,8 @@ class SacConfig:
     lr_decay: int = 0
     """Updates in which the step size falls evenly to a tenth, where it stays; 0: it does not fall."""
     discount: float = 0.99
+    pessimism: float = 1.0
+    """Which value of the two critics counts: at 1 the lesser, as in SAC, at 0 their mean."""
     tau: float = 0.005
     """How far the target critics follow the critics at each update."""
     batch_size: int = 1280
@@ -195,7 +197,7 @@ def check(config: Config, tasks: int) -> None:
         value = _setting(config, name)
         if not low < value <= high:
             raise UsageError(f"{_flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
-    for name in ("sac.lte_noise", "replay.own_share"):
+    for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{_flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
     if config.sac.batch_size % tasks:

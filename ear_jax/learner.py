@@ -137,7 +137,8 @@ class Learner:
         def actor_objective(policy):
             action, log_prob = losses.sample_policy(policy, self.agent, batch.obs, batch.task, draws.now)
             value = losses.q_values(state.critics, self.agent, obs, action, batch.task, self.task_count)
-            return losses.actor_loss(value, log_prob, temperature), log_prob
+            believed = losses.believed(value, self.config.sac.pessimism)
+            return losses.actor_loss(believed, log_prob, temperature), log_prob
 
         def temperature_objective(log_temperature):
             target_entropy = -float(self.family.action_size)
@@ -190,8 +191,9 @@ class Learner:
         action, log_prob = losses.sample_policy(state.policy, self.agent, batch.next_obs, batch.task, noise)
         next_obs = state.policy["standardiser"](batch.next_obs)
         value = losses.q_values(state.target_critics, self.agent, next_obs, action, batch.task, self.task_count)
+        believed = losses.believed(value, self.config.sac.pessimism)
         temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
-        return losses.td_target(batch, value, log_prob, temperature, self.config.sac.discount)
+        return losses.td_target(batch, believed, log_prob, temperature, self.config.sac.discount)
 
     def _apply(self, grad: Params, optimiser_state: Any, params: Params) -> tuple[Params, Any]:
         update, optimiser_state = self.optimiser.update(grad, optimiser_state, params)

@@ -58,19 +58,27 @@ def q_values(
     return jax.vmap(of_batch, in_axes=(0, None, None, None))(critics, obs, action, jax.nn.one_hot(task, tasks))
 
 
+def believed(values: jax.Array, pessimism: float) -> jax.Array:
+    """What all critics' values [critics, n] come to: at 1 the least, as in SAC, at 0 their mean, between both; [n].
+
+    The mean is what Nauman et al. (2024, arXiv 2405.16158) recommend where critics are regularised otherwise.
+    """
+    return pessimism * jnp.min(values, axis=0) + (1 - pessimism) * jnp.mean(values, axis=0)
+
+
 def td_target(
     batch: Batch, next_value: jax.Array, next_log_prob: jax.Array, temperature: jax.Array, discount: float
 ) -> jax.Array:
-    """r + γ V̄(s′), V̄ = min Q̄ − α log π (equation 5), and no V̄ after a termination; a time limit is none. [n]
+    """r + γ V̄(s′), V̄ = Q̄ − α log π (equation 5), and no V̄ after a termination; a time limit is none. [n]
 
     Args:
       batch: the transitions.
-      next_value: the target critics' values of the next action, [critics, n].
+      next_value: what is believed of the next action, [n].
       next_log_prob: that action's log-density, [n].
       temperature: α of each item's task, [n], or one for all.
       discount: γ.
     """
-    value = jnp.min(next_value, axis=0) - temperature * next_log_prob
+    value = next_value - temperature * next_log_prob
     return batch.reward + discount * jnp.where(batch.terminated, 0.0, value)
 
 
@@ -80,8 +88,8 @@ def critic_loss(values: jax.Array, target: jax.Array) -> jax.Array:
 
 
 def actor_loss(value: jax.Array, log_prob: jax.Array, temperature: jax.Array) -> jax.Array:
-    """J_π (equation 3): the mean of α log π − min Q; value [critics, n], log_prob [n]."""
-    return jnp.mean(temperature * log_prob - jnp.min(value, axis=0))
+    """J_π (equation 3): the mean of α log π − Q, of what is believed of Q; all [n]."""
+    return jnp.mean(temperature * log_prob - value)
 
 
 def temperature_loss(log_temperature: jax.Array, log_prob: jax.Array, target_entropy: float) -> jax.Array:

@@ -25,11 +25,17 @@ def batch(**changes) -> Batch:
 
 
 def test_target_takes_the_lower_critic_and_stops_only_at_termination():
-    next_value = jnp.array([[10.0, 10.0, 7.0], [8.0, 12.0, 9.0]])
+    next_value = jnp.array([8.0, 10.0, 7.0])
     log_prob = jnp.array([-1.0, 5.0, 2.0])
     temperature = jnp.array([0.5, 0.5, 0.25])
     target = losses.td_target(batch(), next_value, log_prob, temperature, discount=0.9)
     np.testing.assert_allclose(target, [1 + 0.9 * (8 + 0.5), 2.0, 3 + 0.9 * (7 - 0.5)], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("pessimism", "expected"), [(1.0, [1.0, 0.0]), (0.0, [2.0, 1.0]), (0.5, [1.5, 0.5])])
+def test_what_is_believed_lies_between_the_lesser_critic_and_the_mean(pessimism, expected):
+    values = jnp.array([[1.0, 2.0], [3.0, 0.0]])
+    np.testing.assert_allclose(losses.believed(values, pessimism), expected)
 
 
 def test_critic_loss_is_half_the_squared_error_of_each_critic():
@@ -38,7 +44,7 @@ def test_critic_loss_is_half_the_squared_error_of_each_critic():
 
 
 def test_actor_loss():
-    value, log_prob = jnp.array([[1.0, 2.0], [3.0, 0.0]]), jnp.array([-1.0, 2.0])
+    value, log_prob = jnp.array([1.0, 0.0]), jnp.array([-1.0, 2.0])
     loss = losses.actor_loss(value, log_prob, jnp.array([0.1, 0.2]))
     assert loss == pytest.approx(((-0.1 - 1.0) + (0.4 - 0.0)) / 2)
 
