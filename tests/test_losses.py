@@ -24,7 +24,7 @@ def batch(**changes) -> Batch:
     return Batch(**{**fields, **changes})
 
 
-def test_target_takes_the_lower_critic_and_stops_only_at_termination():
+def test_target_stops_only_at_termination():
     next_value = jnp.array([8.0, 10.0, 7.0])
     log_prob = jnp.array([-1.0, 5.0, 2.0])
     temperature = jnp.array([0.5, 0.5, 0.25])
