@@ -29,9 +29,9 @@ LINES = ("-", "--", ":", "-.")
 
 
 def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """Return against updates, a line a trial; those soon given up in grey."""
+    """Return against updates, a line a trial; the shorter ones in grey."""
     last = [row["curve"][-1][0] for row in rows]
-    shown = [row for row, updates in zip(rows, last, strict=True) if updates >= 0.3 * max(last)]
+    shown = [row for row, updates in zip(rows, last, strict=True) if updates >= 0.45 * max(last)]
     for row in rows:
         updates, _, _, returns = np.array(row["curve"]).T
         if row in shown:
@@ -41,7 +41,7 @@ def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
         else:
             axes.plot(updates / 1000, returns, color="0.7", linewidth=0.8)
     if len(shown) < len(rows):
-        axes.plot([], [], color="0.7", linewidth=0.8, label="given up early")
+        axes.plot([], [], color="0.7", linewidth=0.8, label="shorter")
     axes.set(xlabel="updates (thousands)", ylabel="return, mean over tasks", title=rows[0]["family"], ylim=_upper(rows))
     axes.legend(frameon=False, fontsize=7)
 
