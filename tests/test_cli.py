@@ -66,6 +66,7 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("train halfcheetah-vel --sac.lrr 1", "did you mean --sac.lr?"),
         ("train halfcheetah-vel --sac.lr abc", "could not convert string to float: 'abc'"),
         ("train halfcheetah-vel --sac.lr -1", "must be above 0"),
+        ("train halfcheetah-vel --sac.pessimism 2", "it must be from 0 to 1"),
         ("train halfcheetah-vel --seeds 0", "--seeds 0 is too small; it must be at least 1"),
         ("train halfcheetah-vel --collect.envs -3", "must be at least 1"),
         ("train halfcheetah-vel --sac.batch-size 481", "try 480 or 490"),

@@ -156,3 +156,16 @@ def test_truncation_bootstraps_and_termination_does_not(program, begun):
     np.testing.assert_allclose(ended, batch.reward)
     going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
     assert (program.learner._target(begun.learner, going, draws.next) != batch.reward).all()
+
+
+def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(begun):
+    losses, targets = [], []
+    for pessimism in (0.0, 0.5, 1.0):
+        program = bandit_program(pessimism=pessimism)
+        losses.append(float(one_update(program, begun)[2]["actor_loss"]))
+        draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
+        batch = program.learner._batch(begun.replay, draws)
+        going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
+        targets.append(float(jnp.mean(program.learner._target(begun.learner, going, draws.next))))
+    assert losses[0] < losses[1] < losses[2]
+    assert targets[0] > targets[1] > targets[2]
