@@ -1,7 +1,7 @@
 """Time of one gradient update, without collection, beside the time of its bare matmuls.
 
-The matmuls are read off the traced update, so they have its shapes whatever the networks become. Both sides are scans
-inside one compiled program; `ratio_to_matmuls` is the median ratio of paired runs.
+The matmuls are read off the traced update, so they have its shapes whatever the networks become. `ratio_to_matmuls` is
+the median ratio of paired runs.
 """
 
 from __future__ import annotations
@@ -78,10 +78,11 @@ def update_run(program: Program, state: train.TrainState, updates: int) -> Any:
 
 
 def matmul_run(matmuls: list[Matmul], updates: int) -> Any:
-    """The matmuls alone.
+    """The matmuls alone, as often as in so many updates.
 
-    Each round writes a number of every product into the next round's left side, in place: so none is left out, and none
-    is done once for all rounds.
+    Each round is a call of one compiled program. In a loop XLA would do what is the same in every round only once, or,
+    where rounds are made to differ, copy operands, which took half as long as the matmuls. A round's products take the
+    memory of those of the round before, as an update's arrays stay where they are too.
     """
     keys = jax.random.split(jax.random.key(0), 2 * len(matmuls)).reshape(len(matmuls), 2)
     operands = [
@@ -89,22 +90,22 @@ def matmul_run(matmuls: list[Matmul], updates: int) -> Any:
         for matmul, (left, right) in zip(matmuls, keys, strict=True)
     ]
 
-    lefts, rights = zip(*operands, strict=True)
+    def multiply(operands: Any, before: Any) -> list[jax.Array]:
+        del before  # its memory is the products'
+        sides = zip(matmuls, operands, strict=True)
+        return [jax.lax.dot_general(left, right, matmul.dimensions) for matmul, (left, right) in sides]
 
-    def products(lefts: Any, rights: Any) -> list[jax.Array]:
-        sides = zip(matmuls, lefts, rights, strict=True)
-        return [jax.lax.dot_general(left, right, matmul.dimensions) for matmul, left, right in sides]
+    options = runtime.compiler_options()
+    compiled = jax.jit(multiply, donate_argnums=1, keep_unused=True, compiler_options=options)
+    products = jax.jit(multiply)(operands, None)
 
-    @jax.jit(compiler_options=runtime.compiler_options())
-    def run(lefts: Any, rights: Any, before: list[jax.Array]) -> Any:
-        def round_of_all(carry: Any, _: None) -> tuple[Any, None]:
-            lefts = [left.at[(0,) * left.ndim].set(product.ravel()[0]) for left, product in zip(*carry, strict=True)]
-            return (lefts, products(lefts, rights)), None
+    def run() -> None:
+        nonlocal products
+        for _ in range(updates):
+            products = compiled(operands, products)
+        jax.block_until_ready(products)
 
-        return jax.lax.scan(round_of_all, (list(lefts), before), length=updates)[0]
-
-    start = products(lefts, rights)
-    return lambda: jax.block_until_ready(run(lefts, rights, start))
+    return run
 
 
 def measure(options: argparse.Namespace, preset: str, seeds: int, updates: int, repeats: int) -> None:
