@@ -12,10 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from ear_jax.agents import AGENTS
 from ear_jax.cli.doctor import known_bad
 from ear_jax.cli.main import main
 from ear_jax.cli.train import read
 from ear_jax.directory import default_directory
+from ear_jax.presets import preset_config
 from ear_jax.records import versions
 
 TINY = [
@@ -146,6 +148,13 @@ def test_multihead_has_its_own_depth_and_clip_under_paper():
     assert (config.network.decoder_layers, config.network.critic_layers, config.sac.max_grad_norm) == (3, 3, 1.0)
     fast, multihead = (read(["halfcheetah-vel", "--agent", agent]).config for agent in ("ear", "multihead"))
     assert multihead == dataclasses.replace(fast, agent="multihead")
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_the_step_size_of_fast_falls_over_all_of_its_updates(agent):
+    for family in ("halfcheetah-vel", "ant-dir", "hopper-vel"):
+        config = preset_config(family, "fast", agent)
+        assert config.sac.lr_decay == config.epochs * config.sac.updates
 
 
 def test_paper_preset_is_the_papers():
