@@ -31,6 +31,15 @@ def test_returns_are_the_mean_over_seeds_with_interval_and_chance_of_being_bette
     assert text.count("`ear train halfcheetah-vel --agent multihead --seed 2`") == 1
 
 
+def test_the_papers_one_hot_is_held_against_ours_with_it_and_without(place):
+    record(agent="onehot", level=-200)
+    for seed, level in enumerate((-500, -510)):
+        record(agent="onehot-blind", seed=seed, level=level)
+    said = section("comparison", place / "out")
+    ours = "with its one-hot −195.5 (1 seed), with the one-hot zeroed −500.5 ± 7.1 (2 seeds)"
+    assert f"HalfCheetah-Vel: OHE-SAC {ours}; the paper's OHE-SAC −609.0 ± 8.10." in said
+
+
 def test_one_seed_has_no_spread(place):
     record()
     assert cells(section("table-1", place / "out"), "EAR-SAC")[2:6] == ["−195.5", "—", "—", "1 seed"]

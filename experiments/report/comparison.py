@@ -46,7 +46,7 @@ def comparison(found: Found) -> Section:
             Points(differ or ["nothing"]),
             *([f"Nothing to compare yet: {', '.join(without)}."] if without else []),
             "What lies behind that, and what is done otherwise than in the paper or its code:",
-            Points([*_budgets(found), *_cheetah(found), *_blind(found), *WHY]),
+            Points([*_budgets(found), *_cheetah(found), *_onehot(found), *WHY]),
         ],
     )
 
@@ -116,11 +116,14 @@ def _start_up_loss(run: Run) -> float | None:
     return float(np.mean(losses)) if losses else None
 
 
-def _blind(found: Found) -> Iterator[str]:
-    """What a zeroed one-hot reaches beside the paper's row."""
+def _onehot(found: Found) -> Iterator[str]:
+    """What OHE-SAC reaches with its one-hot and without, beside the paper's row."""
     for family in FAMILIES:
-        runs, paper = found.runs(family, "onehot-blind"), paper_return(family, "onehot")
-        if runs and paper:
-            ours = spread([mean_return(run) for run in runs])
-            theirs = f"the paper's OHE-SAC {printed(paper)}"
-            yield f"{NAMES[family]}: with the one-hot zeroed {ours} ({seeds(runs)}); {theirs}."
+        paper = paper_return(family, "onehot")
+        ours = [
+            f"{how} {spread([mean_return(run) for run in runs])} ({seeds(runs)})"
+            for agent, how in (("onehot", "with its one-hot"), ("onehot-blind", "with the one-hot zeroed"))
+            if (runs := found.runs(family, agent))
+        ]
+        if ours and paper:
+            yield f"{NAMES[family]}: OHE-SAC {', '.join(ours)}; the paper's OHE-SAC {printed(paper)}."
