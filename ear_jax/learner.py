@@ -41,7 +41,7 @@ class LearnerState:
         return {
             "policy_norm": optax.global_norm(self.policy),
             "critics_norm": optax.global_norm((self.critics, self.target_critics)),
-            "temperature_norm": jnp.abs(self.log_temperature),
+            "temperature_norm": optax.global_norm(self.log_temperature),
         }
 
 

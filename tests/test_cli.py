@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import re
 import subprocess
@@ -164,6 +165,15 @@ def test_paper_preset_is_the_papers():
     assert (config.sac.discount, config.sac.tau, config.sac.lte_noise) == (0.99, 0.005, 0.02)
     assert config.collect.envs * config.collect.steps == config.sac.updates == 200
     assert (config.replay.capacity, config.collect.pretrain_epochs) == (1_000_000, 20)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_every_agent_trains(agent, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", "halfcheetah-vel", *TINY, "--agent", agent, "--out", "run"]) == 0
+    rows = [json.loads(line) for line in Path("run/metrics.jsonl").read_text().splitlines()]
+    assert rows[-1]["epoch"] == 2
+    assert all(math.isfinite(rows[-1][name]) for name in ("mean_return", "temperature_norm"))
 
 
 def test_train_then_evaluate_prints_one_json_document(tmp_path):
