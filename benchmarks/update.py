@@ -81,8 +81,8 @@ def matmul_run(matmuls: list[Matmul], updates: int) -> Any:
     """The matmuls alone, as often as in so many updates.
 
     Each round is a call of one compiled program. In a loop XLA would do what is the same in every round only once, or,
-    where rounds are made to differ, copy operands, which took up to half as long as the matmuls. A round's products take
-    the memory of those of the round before, as an update's arrays stay where they are too.
+    where rounds are made to differ, copy operands, which took up to half as long as the matmuls. The products of a
+    round take the memory of those before, as an update's arrays stay where they are too.
     """
     keys = jax.random.split(jax.random.key(0), 2 * len(matmuls)).reshape(len(matmuls), 2)
     operands = [
