@@ -91,20 +91,25 @@ def adapt(
       search: how to search; None: only the map.
       episodes: fresh episodes by which a code is judged.
       seed: seeds everything.
-      places: codes of the map; it answers tasks that command something, where the agent has LTEs on a sphere.
+      places: codes of the map; it answers tasks that command something within reach, where the agent has LTEs on a
+        sphere.
 
     Returns:
       What `ear adapt --json` prints.
 
     Raises:
-      UsageError: a target that no surveyed code comes near, or only the map of an agent without LTEs.
+      UsageError: only the map, and a target that no surveyed code comes near or an agent without LTEs.
     """
     began = time.perf_counter()
     program, config = trained.program, trained.program.config
     on_sphere = program.agent.embed is not None and config.network.normalise_lte
     mapped = search is None or on_sphere
-    commanding = [task for task in tasks.tasks if task.target is not None and mapped]
-    answers = zero_shot(trained, commanding, episodes, seed, places) if commanding else {}
+    commanding = [(task, task.target) for task in tasks.tasks if task.target is not None and mapped]
+    atlases = atlas.survey(trained, places, 1, seed) if commanding else []
+    if search is None:
+        for _, target in commanding:
+            atlas.check_reach(atlases, program.family, target)
+    answers = zero_shot(trained, atlases, commanding, episodes, seed) if commanding else {}
     searched = _search_all(trained, tasks, search, seed, episodes) if search else {}
     found = [
         {
@@ -123,7 +128,7 @@ def adapt(
     return {
         "tasks": found,
         "env_steps": seeds_steps * episodes_searched,
-        "map_env_steps": seeds_steps * (places if answers else 0),
+        "map_env_steps": seeds_steps * (places if atlases else 0),
         "seconds": round(time.perf_counter() - began, 2),
     }
 
@@ -153,23 +158,21 @@ def _search_all(
 
 
 def zero_shot(
-    trained: Trained, tasks: Sequence[Task], episodes: int, seed: int, places: int
+    trained: Trained, atlases: Sequence[atlas.Atlas], commanding: Sequence[tuple[Task, float]], episodes: int, seed: int
 ) -> dict[tuple[int, str], dict[str, Any]]:
-    """For every seed and task, the code that a map of the sphere promises, and what it then achieves.
+    """For every seed, and every task that its map reaches, the code that the map promises and what it then achieves.
 
-    Every task commands something.
-
-    Raises:
-      UsageError: a target that no surveyed code comes near.
+    Args:
+      trained: the run.
+      atlases: the map of each seed.
+      commanding: the tasks, each with what it commands.
+      episodes: fresh episodes by which a code is judged.
+      seed: of their starts.
     """
     program, family = trained.program, trained.program.family
-    targets = [task.target for task in tasks if task.target is not None]
-    atlases = atlas.survey(trained, places, 1, seed)
-    for target in targets:
-        atlas.check_reach(atlases, family, target)
-    chosen = [[atlas.place_for(one, family, target) for target in targets] for one in atlases]
+    chosen = [[atlas.place_for(one, family, target) for _, target in commanding] for one in atlases]
     codes = jnp.array([[code for code, _ in row] for row in chosen])
-    params = TaskSet(tuple(tasks)).params
+    params = TaskSet(tuple(task for task, _ in commanding)).params
     keys = evaluation_keys(jax.random.split(jax.random.key(seed), len(atlases)), 0)
 
     def of_seed(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -182,11 +185,12 @@ def zero_shot(
             "lte": codes[index, row].tolist(),
             "predicted": chosen[index][row][1],
             "achieved": float(achieved[index, row]),
-            "error": abs(float(family.difference(achieved[index, row], task.target))),
+            "error": abs(float(family.difference(achieved[index, row], target))),
             "reevaluated": float(returns[index, row]),
         }
-        for index in range(len(atlases))
-        for row, task in enumerate(tasks)
+        for index, one in enumerate(atlases)
+        for row, (task, target) in enumerate(commanding)
+        if atlas.reaches(one, family, target)
     }
 
 

@@ -125,16 +125,21 @@ def _weights(codes: np.ndarray, places: np.ndarray, bandwidth: float, leave_out:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
+def reaches(atlas: Atlas, family: Family, target: float) -> bool:
+    """Whether a target lies no further from some surveyed code than a small part of the range that they reach."""
+    nearest = float(np.abs(family.difference(atlas.achieved, target)).min())
+    return nearest <= MARGIN * float(np.ptp(atlas.achieved))
+
+
 def check_reach(atlases: list[Atlas], family: Family, target: float) -> None:
-    """Refuses a target that lies further from every surveyed code than these lie from one another.
+    """Refuses a target that one of the policies does not reach.
 
     Raises:
       UsageError: with the range that was reached.
     """
     for atlas in atlases:
-        low, high = float(atlas.achieved.min()), float(atlas.achieved.max())
-        nearest = float(np.abs(family.difference(atlas.achieved, target)).min())
-        if nearest > MARGIN * (high - low):
+        if not reaches(atlas, family, target):
+            low, high = float(atlas.achieved.min()), float(atlas.achieved.max())
             raise UsageError(
                 f"no code of this run comes near {target:g} {family.unit}; they reach {low:.2f} to {high:.2f}"
             )

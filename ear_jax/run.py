@@ -74,14 +74,19 @@ def train_run(config: Config, directory: Path) -> None:
     with hold(directory, say), StopRequest(say) as request:
         step, epoch, spent = _standing(directory, program, lambda _: None)  # another may have gone on until just now
         about = _about(program)
-        if not (directory / "config.json").exists():
-            records.write_json(directory / "config.json", about)
+        _write_settings(directory / "config.json", about)
         records.keep_rows(directory / "metrics.jsonl", epoch)
         say(header(program, directory))
         with phase("compiling"):
             compiled = compile_program(program, keys)
         state = _continue(program, compiled, keys, step) if step else _begin(program, compiled, keys)
         _train_blocks(program, compiled, state, directory, about, lambda: spent + time.perf_counter() - began, request)
+
+
+def _write_settings(path: Path, about: dict[str, Any]) -> None:
+    """Says what the run is; of one that goes on, only the settings, which may name more epochs than before."""
+    before = records.read_run(path.parent) if path.exists() else about
+    records.write_json(path, {**before, "config": about["config"]})
 
 
 def _standing(directory: Path, program: Program, warn: Callable[[str], None]) -> tuple[Step | None, int, float]:

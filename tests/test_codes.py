@@ -167,6 +167,15 @@ def test_a_map_refuses_what_no_code_reaches(toy):
         adapt(toy, task_set([toy.program.family.parse_task("5")]), None, episodes=1, seed=0)
 
 
+def test_a_search_answers_what_the_map_does_not_reach(toy):
+    """The best that a code can do for 5 is 1; the other task keeps its answer from the map."""
+    tasks = task_set([toy.program.family.parse_task(text) for text in ("5", "0.3")])
+    far, near = adapt(toy, tasks, Search(), episodes=1, seed=0)["tasks"]
+    assert far["zero_shot"] is None
+    assert far["lte"][0] == pytest.approx(1, abs=0.02)
+    assert near["zero_shot"]["lte"][0] == pytest.approx(0.3, abs=0.03)
+
+
 def test_a_map_of_directions_wraps():
     """Codes whose direction is their longitude: 350° and 10° are neighbours of 0°."""
     codes = fibonacci_sphere(2000)

@@ -77,6 +77,7 @@ def test_stopping_and_continuing_equals_never_stopping(tiny, tmp_path):
     for row in (*rows[0], *rows[1]):
         del row["seconds"]
     assert rows[0] == rows[1]
+    assert records.read_run(parts)["config"] == records.read_run(whole)["config"]
 
 
 def test_rows_past_the_checkpoint_are_written_once(tiny, run_directory):

@@ -118,5 +118,8 @@ def _print(document: dict[str, Any], unit: str) -> None:
     if document["map_env_steps"]:
         print("map: the return, without search, of the code that a map of the sphere promises; what it achieved")
         print(f"the map took {document['map_env_steps']:,} env steps")
+        for name, task in zip(names, tasks, strict=True):
+            if task["target"] is not None and not task["zero_shot"]:
+                print(f"the map knows no code near {name}")
     for name, task in zip(names, tasks, strict=True):
         print(f"LTE for {name}: " + " ".join(f"{number:.4f}" for number in task["lte"]))
