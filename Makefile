@@ -47,4 +47,4 @@ bench: setup
 # Pins every package with hashes for Python 3.11 to 3.13, without an index's address. Needs uv.
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-annotate --no-header \
-	  --quiet --group dev pyproject.toml --output-file requirements.lock
+	  --quiet --extra reach --group dev pyproject.toml --output-file requirements.lock

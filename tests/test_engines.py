@@ -36,7 +36,7 @@ def play_linear(family: str, engine: str) -> Episodes:
     return jax.jit(lambda key: play(program.family, linear, weights, codes, tasks, key, EPISODES))(jax.random.key(2))
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", [name for name in FAMILIES if name != "reach"])  # see test_reach.py
 def test_whole_episodes_return_alike_on_mjx_and_native(family):
     """From the same starts. Single episodes part after a few contacts; their mean must not, by 3 standard errors."""
     native, mjx = (play_linear(family, engine) for engine in ("native", "mjx"))

@@ -1,4 +1,4 @@
-"""The five families against an independent transcription of the environments' tables in NumPy and plain MuJoCo.
+"""The locomotion families against an independent transcription of the environments' tables in NumPy and plain MuJoCo.
 
 Here velocity is (x_after − x_before)/dt in float64, of the same float32 start and action.
 """

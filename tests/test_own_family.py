@@ -211,6 +211,14 @@ BROKEN = [
         {"terminated": lambda self, physics: physics.qpos[0] > 0 and physics.qpos[0] < 1},
         r"terminated\(\) fails: JAX traces it.* jnp\.where for `if`.* \(test_own_family\.py, line \d+, in <lambda>\)$",
     ),
+    (
+        {"actuate": lambda self, physics, action: action},
+        r"actuate\(\) must return a Physics and a control, and returns",
+    ),
+    (
+        {"actuate": lambda self, physics, action: (physics, action[:0])},
+        r"the control that actuate\(\) returns must be of shape \(1,\), and has shape \(0,\)",
+    ),
     ({"outcome": lambda self, motion: motion.action[0]}, r"outcome\(\) must be a dictionary of named scalars"),
     ({"outcome": lambda self, motion: {"action": motion.action}}, r"outcome\(\)\['action'\] must be a scalar, and has"),
     (

@@ -32,11 +32,18 @@ def test_training_tasks_in_the_order_of_their_codes():
     np.testing.assert_array_equal(both.params["velocity"], [-1, -2, -3, -4, -5, -6, -7, 0, 0, 0])
     np.testing.assert_array_equal(both.params["run"], [1] * 7 + [0] * 3)
     np.testing.assert_array_equal(both.params["jump"], [0] * 7 + [1, 5, 10])
+    assert numbers["reach"].names == [f"goal-{angle}" for angle in range(0, 360, 36)]
 
 
 @pytest.mark.parametrize(
     ("name", "count", "low", "high"),
-    [("halfcheetah-vel", 3, 1, 10), ("ant-dir", 5, 0, 359), ("hopper-vel", 3, 0.2, 2), ("walker-vel", 3, 0.2, 2)],
+    [
+        ("halfcheetah-vel", 3, 1, 10),
+        ("ant-dir", 5, 0, 359),
+        ("hopper-vel", 3, 0.2, 2),
+        ("walker-vel", 3, 0.2, 2),
+        ("reach", 3, 0, 359),
+    ],
 )
 def test_adaptation_tasks_are_drawn_from_the_seed(name, count, low, high):
     named = family(name)
@@ -48,7 +55,7 @@ def test_adaptation_tasks_are_drawn_from_the_seed(name, count, low, high):
     assert draws.max() <= high
     assert np.ptp(draws) > 0.8 * (high - low)
     assert not np.isin(draws, named.training_tasks().targets).any(), "tasks not trained on"
-    if name == "ant-dir":
+    if family(name).period:
         np.testing.assert_array_equal(draws, draws.astype(int))
 
 
@@ -60,6 +67,7 @@ def test_interpolation_tasks_lie_midway():
     assert targets["ant-dir"] == [15 * step + 7.5 for step in range(24)]
     assert targets["ant-dir"][-1] == 352.5
     assert targets["halfcheetah-run-jump"] == []
+    assert targets["reach"] == [36 * step + 18 for step in range(10)]
 
 
 @pytest.mark.parametrize(
@@ -71,6 +79,7 @@ def test_interpolation_tasks_lie_midway():
         ("ant-dir", ("45", "45deg", "dir-45", "45°", "405", "45 degrees"), "dir-45"),
         ("ant-dir", ("-15", "345"), "dir-345"),
         ("ant-dir", ("360",), "dir-0"),
+        ("reach", ("90", "goal-90", "90°", "-270"), "goal-90"),
         ("halfcheetah-run-jump", ("back-3", "BACK-3"), "back-3"),
         ("halfcheetah-run-jump", ("walk", "back-1"), "back-1"),
         ("halfcheetah-run-jump", ("jump",), "jump-10"),

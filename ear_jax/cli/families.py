@@ -14,6 +14,7 @@ from rich.table import Table
 from ear_jax.cli.arguments import parse
 from ear_jax.envs import FAMILIES, make_family
 from ear_jax.envs.registry import offered_families
+from ear_jax.errors import RunError
 from ear_jax.physics import ENGINES
 
 
@@ -29,9 +30,16 @@ class FamiliesCommand:
 
 def main(words: list[str]) -> None:
     command = parse(FamiliesCommand, words, "families")
-    found = [describe(name) for name in command.names or (*FAMILIES, *offered_families())]
+    found, lacking = [], {}
+    for name in command.names or (*FAMILIES, *offered_families()):
+        try:
+            found.append(describe(name))
+        except RunError as error:
+            if command.names:
+                raise
+            lacking[name] = str(error)
     if command.json:
-        print(json.dumps({"families": found}))
+        print(json.dumps({"families": found, "lacking": lacking}))
         return
     table = Table()
     for heading in ("family", "tasks", "obs", "action", "step (s)", "episode", "engines"):
@@ -42,6 +50,8 @@ def main(words: list[str]) -> None:
         sizes = (str(family[key]) for key in ("observation_size", "action_size", "dt", "episode_length"))
         table.add_row(family["name"], tasks, *sizes, ", ".join(family["engines"]))
     Console(highlight=False).print(table)
+    for name, reason in lacking.items():
+        print(f"{name} is not to be had here: {reason}")
     print("A family of your own: ear train path/to/file.py:ClassName (docs/your-own-family.md)")
 
 

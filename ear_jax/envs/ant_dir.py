@@ -6,17 +6,14 @@ import math
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ear_jax.envs.family import Family, Outcome
-from ear_jax.errors import UsageError
+from ear_jax.envs.angle import AngleFamily
+from ear_jax.envs.family import Outcome
 from ear_jax.physics import Motion, Physics
-from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
-
-SPACING = 15  # degrees between training tasks
+from ear_jax.tasks import Task, TaskParams
 
 
-class AntDir(Family):
+class AntDir(AngleFamily):
     """Reward v·d − c |v·d⊥| − 0.5 Σa² + 1 a step for 24 directions d; fails as Gym's Ant-v2 does.
 
     The paper's text penalises the lateral speed and its code does not: `lateral_weight` is c, and 0 by default. The
@@ -29,33 +26,15 @@ class AntDir(Family):
     # Median error of a step in qpos 1e-7. Its tail, 1e-2, is where a leg stands within 30° of upright: MJX turns the
     # friction pyramid there otherwise than C MuJoCo does, and no limit mends that.
     mjx_solver = (4, 8)
-    commanded, unit, period = "direction", "degrees", 360.0
+    commanded = "direction"
+    prefix, spacing, unseen = "dir-", 15, 5
     options = ("lateral_weight",)
     lateral_weight = 0.0
 
-    def training_tasks(self) -> TaskSet:
-        return task_set([direction_task(angle) for angle in range(0, 360, SPACING)])
-
-    def adaptation_tasks(self, seed: int) -> TaskSet:
-        rng = np.random.default_rng(seed)
-        angles = rng.choice(360, size=5, replace=False)
-        while (angles % SPACING == 0).any():  # none that it was trained on
-            angles = rng.choice(360, size=5, replace=False)
-        return task_set([direction_task(int(angle)) for angle in angles])
-
-    def interpolation_tasks(self) -> TaskSet:
-        return task_set([direction_task(angle + SPACING / 2) for angle in range(0, 360, SPACING)])
-
-    def parse_task(self, text: str) -> Task:
-        """A task from `45`, `45deg` or `dir-45`; any angle, by the whole turn."""
-        word = text.strip().lower().removeprefix("dir-")
-        try:
-            angle = float(word.removesuffix("degrees").removesuffix("deg").removesuffix("°").strip())
-        except ValueError:
-            angle = math.nan
-        if not math.isfinite(angle):
-            raise UsageError(f"no task {text!r}; name a direction in degrees, as in 45 or dir-45")
-        return direction_task(angle)
+    def at(self, angle: float) -> Task:
+        """Run at `angle` degrees from the x axis; 45 degrees is called dir-45."""
+        radians = math.radians(angle)
+        return Task(f"dir-{angle:g}", target=float(angle), params={"x": math.cos(radians), "y": math.sin(radians)})
 
     def initial(self, key: jax.Array) -> Physics:
         return self.noisy_start(key, 0.1, lambda key, shape: 0.1 * jax.random.normal(key, shape))
@@ -85,10 +64,3 @@ class AntDir(Family):
     def achieved(self, late: Outcome, whole: Outcome) -> jax.Array:
         """The angle of where the episode ended, seen from where it began; degrees in [0, 360)."""
         return jnp.degrees(jnp.arctan2(whole["velocity_y"], whole["velocity_x"])) % 360
-
-
-def direction_task(angle: float) -> Task:
-    """Run at `angle` degrees from the x axis; 45 degrees is called dir-45."""
-    angle = angle % 360
-    radians = math.radians(angle)
-    return Task(name=f"dir-{angle:g}", target=float(angle), params={"x": math.cos(radians), "y": math.sin(radians)})

@@ -82,6 +82,10 @@ class Family(Env):
     def initial(self, key: jax.Array) -> Physics:
         """A random start."""
 
+    def actuate(self, physics: Physics, action: jax.Array) -> tuple[Physics, jax.Array]:
+        """The state to step from, and the control [nu] held meanwhile; by default the action is the control."""
+        return physics, action
+
     @abc.abstractmethod
     def observe(self, physics: Physics) -> jax.Array:
         """What the policy sees of a state, [size]."""
@@ -136,7 +140,7 @@ class Family(Env):
         return self.start(rng, {name: jnp.float32(value) for name, value in task.params.items()})
 
     def step(self, state: State, action: jax.Array) -> State:
-        motion = self.engine.step(state.pipeline_state, action)
+        motion = self.engine.step(*self.actuate(state.pipeline_state, action))
         outcome, seen = self.outcome(motion), self.observe(motion.after)
         return state.replace(
             pipeline_state=motion.after,

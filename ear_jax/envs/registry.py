@@ -13,6 +13,7 @@ from ear_jax.envs.family import Family
 from ear_jax.envs.halfcheetah_run_jump import HalfCheetahRunJump
 from ear_jax.envs.halfcheetah_vel import HalfCheetahVel
 from ear_jax.envs.hopper_vel import HopperVel
+from ear_jax.envs.reach import Reach
 from ear_jax.envs.user_code import source_file, user_code
 from ear_jax.envs.validation import check_class, check_family, check_task
 from ear_jax.envs.walker_vel import WalkerVel
@@ -22,7 +23,7 @@ from ear_jax.quiet import register_environment
 from ear_jax.tasks import Task
 
 FAMILIES: dict[str, type[Family]] = {
-    family.name: family for family in (HalfCheetahVel, AntDir, HopperVel, WalkerVel, HalfCheetahRunJump)
+    family.name: family for family in (HalfCheetahVel, AntDir, HopperVel, WalkerVel, HalfCheetahRunJump, Reach)
 }
 ENTRY_POINTS = "ear_jax.families"  # the group in which an installed package offers its own
 

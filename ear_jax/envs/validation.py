@@ -43,11 +43,13 @@ def check_family(family: Family) -> None:
     physics = _traced(family, "initial")(jax.random.key(0))
     if not isinstance(physics, Physics):
         raise UsageError(f"initial() must return a Physics, and returns {_kind(physics)}")
-    for field, size in {"qpos": family.model.nq, "qvel": family.model.nv, "warmstart": family.model.nv}.items():
-        _expect(f"initial().{field}", getattr(physics, field), (size,), "float32")
+    model = family.model
+    moved = {"mocap": (model.nmocap, 3)} if model.nmocap else {}
+    for field, shape in {"qpos": (model.nq,), "qvel": (model.nv,), "warmstart": (model.nv,), **moved}.items():
+        _expect(f"initial().{field}", getattr(physics, field), shape, "float32")
     _expect("observe()", _traced(family, "observe")(physics), None, "float32")
     _expect("terminated()", _traced(family, "terminated")(physics), (), "bool")
-    motion = Motion(physics, jnp.zeros(family.action_size), physics, jnp.zeros((len(family.bodies), 3)))
+    motion = Motion(*_check_actuate(family, physics), physics, jnp.zeros((len(family.bodies), 3)))
     outcome = _traced(family, "outcome")(motion)
     _check_outcome(family, outcome)
     reward = _traced(family, "reward")
@@ -84,6 +86,15 @@ def _check_task_sets(family: Family) -> TaskSet:
         for task in tasks.tasks:
             check_task(task, training.tasks[0], f"{method}()")
     return training
+
+
+def _check_actuate(family: Family, physics: Physics) -> tuple[Physics, jax.Array]:
+    """Returns what it makes of an action of zeros."""
+    made = _traced(family, "actuate")(physics, jnp.zeros(family.action_size))
+    if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Physics)):
+        raise UsageError(f"actuate() must return a Physics and a control, and returns {_kind(made)}")
+    _expect("the control that actuate() returns", made[1], (family.model.nu,), "float32")
+    return made
 
 
 def _check_outcome(family: Family, outcome: Any) -> None:

@@ -20,6 +20,7 @@ class Physics:
     qpos: jax.Array  # [nq] generalised positions
     qvel: jax.Array  # [nv] generalised velocities
     warmstart: jax.Array  # [nv] last acceleration, from which the constraint solver starts
+    mocap: jax.Array | None = None  # [nmocap, 3] metres: where bodies stand that are moved by hand, in models with such
 
 
 @struct.dataclass

@@ -33,8 +33,11 @@ class MjxEngine:
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
         data = self._blank.replace(qpos=physics.qpos, qvel=physics.qvel, qacc_warmstart=physics.warmstart, ctrl=action)
+        if physics.mocap is not None:
+            data = data.replace(mocap_pos=physics.mocap)
         data, _ = jax.lax.scan(lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps)
-        return Motion(physics, action, Physics(data.qpos, data.qvel, data.qacc_warmstart), self._positions(data.qpos))
+        after = Physics(data.qpos, data.qvel, data.qacc_warmstart, physics.mocap)
+        return Motion(physics, action, after, self._positions(data.qpos))
 
 
 def _jax(model: mujoco.MjModel) -> tuple[Any, Any]:

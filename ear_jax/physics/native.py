@@ -46,8 +46,9 @@ class NativeEngine:
         model = self._model
         results = (like(model.nq), like(model.nv), like(model.nv))
         step = buffer_callback(self._step_batch, results, vmap_method="broadcast_all")
-        qpos, qvel, warmstart = step(physics.qpos, physics.qvel, physics.warmstart, action)
-        return Motion(physics, action, Physics(qpos, qvel, warmstart), self._positions(qpos))
+        moved = () if physics.mocap is None else (physics.mocap,)
+        qpos, qvel, warmstart = step(physics.qpos, physics.qvel, physics.warmstart, action, *moved)
+        return Motion(physics, action, Physics(qpos, qvel, warmstart, physics.mocap), self._positions(qpos))
 
     def _step_batch(self, context, outputs, *inputs) -> None:
         """Runs on the host with the buffers of the whole batch; leading axes are whatever was vmapped."""
@@ -65,7 +66,8 @@ class NativeEngine:
     def _open(self, count: int) -> _Pool:
         batch = Batch(self._model, count)
         state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
-        self._pools[count] = _Pool(batch, (*state, batch.ctrl), state)
+        moved = (batch.mocap_pos,) if self._model.nmocap else ()
+        self._pools[count] = _Pool(batch, (*state, batch.ctrl, *moved), state)
         return self._pools[count]
 
 

@@ -1,0 +1,50 @@
+"""Families whose tasks command an angle."""
+
+from __future__ import annotations
+
+import abc
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from ear_jax.envs.family import Family
+from ear_jax.errors import UsageError
+from ear_jax.tasks import Task, TaskSet, task_set
+
+
+class AngleFamily(Family):
+    """Tasks all the way round, evenly spaced."""
+
+    unit, period = "degrees", 360.0
+    prefix: ClassVar[str]  # of a task's name, before its angle
+    spacing: ClassVar[int]  # degrees between training tasks
+    unseen: ClassVar[int]  # how many adaptation tasks
+
+    @abc.abstractmethod
+    def at(self, angle: float) -> Task:
+        """The task of an angle in [0, 360)."""
+
+    def training_tasks(self) -> TaskSet:
+        return task_set([self.at(angle) for angle in range(0, 360, self.spacing)])
+
+    def adaptation_tasks(self, seed: int) -> TaskSet:
+        rng = np.random.default_rng(seed)
+        angles = rng.choice(360, size=self.unseen, replace=False)
+        while (angles % self.spacing == 0).any():  # none that it was trained on
+            angles = rng.choice(360, size=self.unseen, replace=False)
+        return task_set([self.at(int(angle)) for angle in angles])
+
+    def interpolation_tasks(self) -> TaskSet:
+        return task_set([self.at(angle + self.spacing / 2) for angle in range(0, 360, self.spacing)])
+
+    def parse_task(self, text: str) -> Task:
+        """A task from `45`, `45deg` or its name; any angle, by the whole turn."""
+        word = text.strip().lower().removeprefix(self.prefix)
+        try:
+            angle = float(word.removesuffix("degrees").removesuffix("deg").removesuffix("°").strip())
+        except ValueError:
+            angle = math.nan
+        if not math.isfinite(angle):
+            raise UsageError(f"no task {text!r}; name an angle in degrees, as in 45 or {self.prefix}45")
+        return self.at(angle % 360)
