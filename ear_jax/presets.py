@@ -58,7 +58,7 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("fast", "walker-vel"): {"sac": {"discount": 0.99}},
     # Meta-World shows two steps at once. Its rewards are up to 10, where those of the others are about 1.
     ("paper", "reach"): {"network": {"history": 2}},
-    ("fast", "reach"): _FAST_REACH,
+    ("fast", "reach"): {**_FAST_REACH, "epochs": 100, "sac": {**_FAST_REACH["sac"], "lr_decay": 40_000}},
     ("smoke", "reach"): {"tasks": ("0", "108", "216"), **_FAST_REACH},
     ("smoke", "halfcheetah-vel"): {"tasks": ("1", "2", "3")},
     ("smoke", "hopper-vel"): {"tasks": ("0.4", "1", "1.6"), "sac": {"discount": 0.99}},

@@ -15,7 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ear_jax.errors import RunError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.report.strip import Bounds
 
 SKY, FLOOR = (214, 228, 240), ((186, 190, 186), (206, 210, 206))  # RGB; the floor's squares are 2 m wide
@@ -47,8 +47,14 @@ class Limbs:
 
 
 def limbs(model: mujoco.MjModel, qpos: np.ndarray) -> Limbs:
-    """The limbs in poses [poses, nq]; what is neither capsule nor cylinder becomes a ball of its bounding radius."""
+    """The limbs in poses [poses, nq]; what is neither capsule nor cylinder becomes a ball of its bounding radius.
+
+    Raises:
+      UsageError: a model without shapes.
+    """
     data, robot = mujoco.MjData(model), _robot(model)
+    if not len(robot):
+        raise UsageError("there is nothing to draw: the model has no shapes that move")
     long = np.isin(model.geom_type[robot], (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER))
     half = np.where(long, model.geom_size[robot, 1], 0.0)[:, None]
     ends = []

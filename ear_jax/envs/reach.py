@@ -14,7 +14,7 @@ import numpy as np
 from ear_jax.envs.angle import AngleFamily
 from ear_jax.envs.family import Outcome
 from ear_jax.physics import Motion, Physics
-from ear_jax.physics.kinematics import body_point
+from ear_jax.physics.kinematics import body_points
 from ear_jax.physics.sawyer import HAND_START, load_arm
 from ear_jax.tasks import Task, TaskParams
 
@@ -44,10 +44,9 @@ class Reach(AngleFamily):
 
     def __init__(self, engine: str = "auto", task: Task | None = None, **options: Any):
         super().__init__(engine, task, **options)
-        hand, right, left = "hand", "rightclaw", "leftclaw"
-        tips = [self.model.site(f"{side}EndEffector").pos for side in ("right", "left")]
-        self._hand, self._right, self._left = (body_point(self.model, body) for body in (hand, right, left))
-        self._tips = [body_point(self.model, *finger) for finger in zip((right, left), tips, strict=True)]
+        bodies = [(body, np.zeros(3)) for body in ("hand", "rightclaw", "leftclaw")]
+        tips = [(f"{side}claw", self.model.site(f"{side}EndEffector").pos) for side in ("right", "left")]
+        self._points = body_points(self.model, [*bodies, *tips])
         self._settled = _settle(self.model)
 
     def load(self) -> mujoco.MjModel:
@@ -75,11 +74,11 @@ class Reach(AngleFamily):
         return 4
 
     def observe(self, physics: Physics) -> jax.Array:
-        hand, right, left = (point(physics.qpos) for point in (self._hand, self._right, self._left))
+        hand, right, left, *_ = self._points(physics.qpos)
         return jnp.append(hand, jnp.clip(jnp.linalg.norm(right - left) / OPEN, 0, 1))
 
     def outcome(self, motion: Motion) -> Outcome:
-        right, left = (tip(motion.after.qpos) for tip in self._tips)
+        *_, right, left = self._points(motion.after.qpos)
         return dict(zip("xyz", (right + left) / 2, strict=True))
 
     def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:

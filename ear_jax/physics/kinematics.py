@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import jax
@@ -28,47 +28,44 @@ def body_positions(model: mujoco.MjModel, body_ids: list[int]) -> Callable[[jax.
     return lambda qpos: mjx.kinematics(on_device, blank.replace(qpos=qpos)).xpos[rows]
 
 
-def body_point(model: mujoco.MjModel, name: str, point: np.ndarray | None = None) -> Callable[[jax.Array], jax.Array]:
-    """Maps qpos [nq] to where a point [3] of a body is, by default its origin; [3] metres.
+def body_points(model: mujoco.MjModel, points: Sequence[tuple[str, np.ndarray]]) -> Callable[[jax.Array], jax.Array]:
+    """Maps qpos [nq] to where points of bodies are, [points, 3] metres; each is a body and a place [3] on it.
 
-    The body hangs from hinges and slides. MJX's kinematics tell it too, but XLA's CPU compiler fuses a chain of links
+    The bodies hang from hinges and slides. MJX's kinematics tell it too, but XLA's CPU compiler fuses a chain of links
     and computes each anew for all that come after: for an arm of seven joints a call took seconds. A matmul a link
     keeps them apart.
     """
-    links, body = [], model.body(name).id
-    while body:
-        links.append(body)
-        body = int(model.body_parentid[body])
-    parts = [(model.body_pos[body], _rotation(model.body_quat[body]), _joint(model, body)) for body in links[::-1]]
+    needed: set[int] = set()
+    for name, _ in points:
+        body = model.body(name).id
+        while body:
+            needed.add(body)
+            body = int(model.body_parentid[body])
 
-    def position(qpos: jax.Array) -> jax.Array:
-        origin, rotation = jnp.zeros(3), jnp.eye(3)
-        for offset, turn, joint in parts:
-            origin, rotation = origin + _product(rotation, offset), _product(rotation, turn)
-            if joint is None:
-                continue
-            address, axis, slides = joint
-            if slides:
-                origin = origin + _product(rotation, axis) * qpos[address]
-            else:
-                rotation = _product(rotation, _about(axis, qpos[address]))
-        return origin if point is None else origin + _product(rotation, point)
+    def positions(qpos: jax.Array) -> jax.Array:
+        frames = {0: (jnp.zeros(3), jnp.eye(3))}
+        for body in sorted(needed):  # a parent's number is less than its children's
+            frames[body] = _hang(model, body, *frames[int(model.body_parentid[body])], qpos)
+        at = [(*frames[model.body(name).id], place) for name, place in points]
+        return jnp.stack([origin + _product(rotation, place) for origin, rotation, place in at])
 
-    return position
+    return positions
 
 
-def _joint(model: mujoco.MjModel, body: int) -> tuple[int, np.ndarray, bool] | None:
-    """The joint of a body that has one at its own place: where in qpos, its axis, and whether it slides."""
+def _hang(
+    model: mujoco.MjModel, body: int, origin: jax.Array, rotation: jax.Array, qpos: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Where a body is and how it is turned, from the same of its parent; it has at most one joint, at its origin."""
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_quat[body])
+    origin, rotation = origin + _product(rotation, model.body_pos[body]), _product(rotation, turn.reshape(3, 3))
     if not model.body_jntnum[body]:
-        return None
-    joint = int(model.body_jntadr[body])
-    return int(model.jnt_qposadr[joint]), model.jnt_axis[joint], model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-
-
-def _rotation(quaternion: np.ndarray) -> np.ndarray:
-    matrix = np.zeros(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
+        return origin, rotation
+    joint = model.body_jntadr[body]
+    axis, moved = model.jnt_axis[joint], qpos[model.jnt_qposadr[joint]]
+    if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+        return origin + _product(rotation, axis) * moved, rotation
+    return origin, _product(rotation, _about(axis, moved))
 
 
 def _about(axis: np.ndarray, angle: jax.Array) -> jax.Array:

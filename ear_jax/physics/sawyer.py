@@ -12,7 +12,7 @@ from ear_jax.errors import RunError
 HAND_START = (0.0, 0.6, 0.2)  # metres: where Meta-World leads the hand before an episode
 MOCAP_TURN = (1.0, 0.0, 1.0, 0.0)  # quaternion: the gripper points down
 INSTALL = "pip install 'ear-jax[reach]'"
-_FINGERS = ("rightclaw_it", "leftclaw_it", "rightpad_geom", "leftpad_geom")
+_CLAWS = ("rightclaw_it", "leftclaw_it")  # the only shapes that inertia is computed from
 
 
 def reach_model_path() -> Path:
@@ -33,12 +33,12 @@ def reach_model_path() -> Path:
 def load_arm() -> mujoco.MjModel:
     """The arm alone, led by the hand: 7 hinges, 2 fingers that slide, and a mocap body that the hand is welded to.
 
-    Nothing can touch anything, so that table, puck, walls and all shapes but the fingers go; inertias stay, and the arm
+    Nothing can touch anything, so that table, puck, walls and all shapes but the claws go; inertias stay, and the arm
     moves as in the whole scene, to rounding. MJX takes neither the shapes nor the elliptic cone.
     """
     spec = _scene()
     for geom in list(spec.geoms):
-        if geom.name not in _FINGERS:
+        if geom.name not in _CLAWS:
             spec.delete(geom)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
