@@ -14,10 +14,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from brax.envs import get_environment
+from brax.envs.wrappers.training import wrap
 from conftest import tiny_config, words
 
 from ear_jax.cli.main import main
-from ear_jax.envs import make_family
+from ear_jax.envs import FAMILIES, make_family
+from ear_jax.envs.validation import check_class, check_family
 from ear_jax.physics.sawyer import load_arm, reach_model_path
 from ear_jax.presets import preset_config
 from ear_jax.train import make_program
@@ -151,6 +154,23 @@ def test_the_agent_sees_two_steps(reach):
     start, after = play(family, KINDS["random"])
     np.testing.assert_array_equal(start.obs[:4], start.obs[4:])
     np.testing.assert_array_equal(after.obs[1:, :4], after.obs[:-1, 4:])
+
+
+def test_passes_what_a_users_family_must(reach):
+    check_class(FAMILIES["reach"], "reach")
+    check_family(reach)
+
+
+def test_is_a_brax_environment_by_name():
+    """Under Brax's own wrappers, past the end of an episode."""
+    env = wrap(get_environment("ear_reach", engine="native"), episode_length=3)
+    state = start = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 2))  # Brax knows no typed keys
+    step, action = jax.jit(env.step), jnp.ones((2, env.action_size))
+    for _ in range(3):
+        state = step(state, action)
+    assert state.done.all()
+    np.testing.assert_array_equal(state.obs, start.obs)
+    assert (step(state, action).obs[:, :3] != start.obs[:, :3]).any()
 
 
 @pytest.mark.slow
