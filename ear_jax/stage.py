@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ from ear_jax.errors import RunError, UsageError
 from ear_jax.report.strip import Bounds
 
 SKY, FLOOR = (214, 228, 240), ((186, 190, 186), (206, 210, 206))  # RGB; the floor's squares are 2 m wide
+Way = Literal["runs", "roams", "stands"]
 LIGHT = (0.23, 0.32, -0.92)  # a unit vector: it falls from behind the camera's left shoulder
 WITHOUT_GL = "pictures of the robot need OpenGL; install libegl1 and libgl1-mesa-dri, or libosmesa6 ({})"
 
@@ -66,9 +67,12 @@ def limbs(model: mujoco.MjModel, qpos: np.ndarray) -> Limbs:
     return Limbs(np.array(ends), np.where(long, model.geom_size[robot, 0], model.geom_rbound[robot]))
 
 
-def roams(model: mujoco.MjModel) -> bool:
-    """Whether the robot goes where it likes on the floor, and not only along x."""
-    return bool((model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any())
+def way_of(model: mujoco.MjModel) -> Way:
+    """How a robot gets about: along x, where it likes on the floor, or not at all."""
+    if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+        return "roams"
+    at_root = model.body_weldid[model.body_parentid[model.jnt_bodyid]] == 0
+    return "runs" if (model.jnt_type[at_root] == mujoco.mjtJoint.mjJNT_SLIDE).any() else "stands"
 
 
 def _robot(model: mujoco.MjModel) -> np.ndarray:

@@ -19,9 +19,10 @@ from test_codes import CODES, obedient
 from ear_jax import stage
 from ear_jax.cli.main import main
 from ear_jax.config import Config
-from ear_jax.envs import Family
-from ear_jax.errors import RunError
+from ear_jax.envs import Family, make_family
+from ear_jax.errors import RunError, UsageError
 from ear_jax.physics.models import load_model
+from ear_jax.physics.sawyer import load_arm
 from ear_jax.render import Strip, arrange, film, photograph
 from ear_jax.report import video
 from ear_jax.report.strip import DPI, draw_strip
@@ -105,6 +106,12 @@ def test_limbs_are_the_models_capsules(cheetah):
     assert seen.radii[0] == pytest.approx(0.046)
 
 
+def test_a_model_without_shapes_is_refused():
+    arm = load_arm()
+    with pytest.raises(UsageError, match=r"^there is nothing to draw"):
+        limbs(arm, arm.qpos0[None])
+
+
 def test_poses_of_a_strip_lie_evenly_back_from_the_end_within_what_is_seen(cheetah):
     found = strip(cheetah, 1, 2, 3)
     assert len(found.panels) == 3
@@ -146,9 +153,26 @@ def test_robots_that_roam_share_a_panel():
     np.testing.assert_allclose(east - north, [5, -5 * np.sin(np.radians(50))], atol=1e-6)
 
 
+def test_robots_that_stand_share_a_panel_where_each_ended():
+    """The arm as it is drawn: its gripper 0.1 m to its right, then to its left."""
+    arm = make_family("reach", "native").portrait()
+    poses = np.array(
+        [[1.22, -0.5, 0.16, 0.65, -0.13, 1.41, 3.06, 0, 0], [1.37, -0.5, 0.44, 0.6, -0.38, 1.53, 3.36, 0, 0]]
+    )
+    ways = [Trajectory(np.stack([poses[1 - row], poses[row]]), False, {}, 0.0) for row in (0, 1)]
+    found = arrange(arm, ways, ["goal-0", "goal-180"], 0.0125)
+    (panel,) = found.panels
+    assert [track.flag for track in panel.tracks] == [None, None]
+    for shown, pose in zip(found.poses, poses, strict=True):
+        np.testing.assert_array_equal(shown, [pose])
+    right, left = (track.limbs[0].mean(axis=1) for track in panel.tracks)  # of the robot, which faces us
+    assert (left - right)[:, 0].max() == pytest.approx(0.2, abs=0.03), "fingers"
+    assert found.caption == "across (m), where each ended"
+
+
 def test_a_strip_of_sticks_is_drawn_to_size(cheetah, tmp_path):
     found = strip(cheetah, 1, 2)
-    path = draw_strip(tmp_path / "strip.png", found.panels, found.bounds, found.note)
+    path = draw_strip(tmp_path / "strip.png", found.panels, found.bounds, found.caption)
     picture = np.asarray(Image.open(path).convert("RGB"))
     assert picture.shape[1] == pytest.approx(DPI * (1.1 + found.bounds.inches[0] + 0.15), abs=2)
     red = (picture == (0xD5, 0x00, 0x0F)).all(-1)

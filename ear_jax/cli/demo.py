@@ -153,12 +153,12 @@ def _draw(path: Path, trained: Trained, pair: Pair, betas: tuple[float, ...], la
     first, second = (jnp.asarray(end.codes[0]) for end in pair)
     codes = jnp.stack([blend(first, second, jnp.float32(beta), program.agent.project) for beta in betas])
     steps = min(family.episode_length, round(SECONDS / family.dt))
-    strip = arrange(family.model, follow(program, policy, codes, steps, jax.random.key(SEED)), labels, family.dt)
+    strip = arrange(family.portrait(), follow(program, policy, codes, steps, jax.random.key(SEED)), labels, family.dt)
     try:
         panels = photograph(strip)
     except RunError:
         panels = strip.panels
-    return draw_strip(path, panels, strip.bounds, strip.note)
+    return draw_strip(path, panels, strip.bounds, strip.caption)
 
 
 def _print(document: dict[str, Any]) -> None:

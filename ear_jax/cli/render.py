@@ -154,17 +154,17 @@ def _draw(
     """Writes strip and films; without OpenGL only the strip, as sticks, and then raises RunError."""
     figures = records.folder(run / "figures")
     labels = [_label(family, *pair) for pair in zip(scenes, trajectories, strict=True)]
-    strip = arrange(family.model, trajectories, labels, family.dt)
+    strip = arrange(family.portrait(), trajectories, labels, family.dt)
     path = figures / f"strip_{name}.png"
     try:
         with phase("drawing the strip"):
-            draw_strip(path, photograph(strip), strip.bounds, strip.note)
+            draw_strip(path, photograph(strip), strip.bounds, strip.caption)
         if not filmed:
             return {"strip": path}
         with phase("filming"):
-            pictures, seconds = film(family.model, trajectories, [scene.name for scene in scenes], family.dt)
+            pictures, seconds = film(strip.model, trajectories, [scene.name for scene in scenes], family.dt)
     except RunError as error:
-        draw_strip(path, strip.panels, strip.bounds, strip.note)
+        draw_strip(path, strip.panels, strip.bounds, strip.caption)
         raise RunError(f"{error}; without it there is {path}, and no film") from None
     videos = records.folder(run / "videos")
     files = {"strip": path, "gif": write_gif(videos / f"{name}.gif", pictures, seconds)}

@@ -62,6 +62,10 @@ class Family(Env):
         """The robot; by default one of Gymnasium's."""
         return load_model(self.model_file)
 
+    def portrait(self) -> mujoco.MjModel:
+        """What pictures show, of the same qpos; by default the model."""
+        return self.model
+
     @abc.abstractmethod
     def training_tasks(self) -> TaskSet:
         """The paper's training tasks, in the order of their one-hot codes."""

@@ -15,7 +15,7 @@ from ear_jax.envs.angle import AngleFamily
 from ear_jax.envs.family import Outcome
 from ear_jax.physics import Motion, Physics
 from ear_jax.physics.kinematics import body_points
-from ear_jax.physics.sawyer import HAND_START, load_arm
+from ear_jax.physics.sawyer import HAND_START, draw_arm, load_arm
 from ear_jax.tasks import Task, TaskParams
 
 CENTRE, RADII = (0.0, 0.85, 0.175), (0.1, 0.125)  # metres: the widest upright ellipse in Meta-World's box of goals
@@ -52,8 +52,11 @@ class Reach(AngleFamily):
     def load(self) -> mujoco.MjModel:
         return load_arm()
 
+    def portrait(self) -> mujoco.MjModel:
+        return draw_arm()
+
     def at(self, angle: float) -> Task:
-        """Reach the point of the ellipse at `angle` degrees, counted from the right and upward."""
+        """Reach the point of the ellipse at `angle` degrees, counted from the robot's right and upward."""
         across, up = RADII[0] * math.cos(math.radians(angle)), RADII[1] * math.sin(math.radians(angle))
         goal = (CENTRE[0] + across, CENTRE[1], CENTRE[2] + up)
         params = {**dict(zip("xyz", goal, strict=True)), "margin": math.dist(goal, HAND_START)}

@@ -53,6 +53,17 @@ def load_arm() -> mujoco.MjModel:
     return spec.compile()
 
 
+def draw_arm() -> mujoco.MjModel:
+    """The same arm, of the same qpos, with its shapes and the table before it, turned to face one who looks along y."""
+    spec = _scene()
+    for name in ("obj", "RetainingWall", "mocap"):
+        spec.delete(spec.body(name))
+    for body in spec.worldbody.bodies:
+        x, y, z = body.pos
+        body.pos, body.quat = (-x, -y, z), (0, 0, 0, 1)  # by half a turn; none was turned before
+    return spec.compile()
+
+
 def _scene() -> mujoco.MjSpec:
     """Meta-World's scene with its weld: the hand is held where the mocap body is, and as it is turned."""
     spec = mujoco.MjSpec.from_file(str(reach_model_path()))

@@ -32,7 +32,7 @@ class Track:
     colours: np.ndarray  # [poses, 3] in [0, 1]
     limbs: np.ndarray  # [poses, limbs, 2, 2]
     radii: np.ndarray  # [limbs] metres
-    flag: tuple[float, float, float]  # where it ended, and how long the pole is
+    flag: tuple[float, float, float] | None  # where it ended, and how long the pole is; none for one that stands
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,14 @@ class Bounds:
         return round(width * DPI), round(height * DPI)
 
 
-def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, note: str) -> Path:
+def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str) -> Path:
     """Draws panels one below another, with the pictures they have and otherwise with sticks.
 
     Args:
       path: where to.
       panels: tracks are named at the left of their panel, in their colours where there are several.
       bounds: what each shows.
-      note: what stands beside the axis's name.
+      caption: what stands below the axis.
     """
     (width, height), gap = bounds.inches, 0.06
     wide, tall = LEFT + width + RIGHT, BELOW + len(panels) * (height + gap)
@@ -86,7 +86,7 @@ def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, note: str) -
             axes = figure.add_axes((LEFT / wide, bottom / tall, width / wide, height / tall))
             _draw_panel(axes, panel, bounds)
             axes.tick_params(bottom=row == len(panels) - 1, labelbottom=row == len(panels) - 1)
-        axes.set_xlabel(f"x (m), {note}")
+        axes.set_xlabel(caption)
         figure.savefig(scratch, format="png", dpi=DPI)
         plt.close(figure)
     os.replace(scratch, path)
@@ -104,7 +104,8 @@ def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:
     for row, track in enumerate(panel.tracks):
         if panel.picture is None:
             _draw_sticks(axes, track, 72 / inch)
-        _draw_flag(axes, *track.flag, inch)
+        if track.flag:
+            _draw_flag(axes, *track.flag, inch)
         colour = "black" if len(panel.tracks) == 1 else track.colours[-1]
         place = (-0.02, 1 - (row + 0.5) / len(panel.tracks))
         axes.text(*place, track.label, transform=axes.transAxes, color=colour, ha="right", va="center")
