@@ -24,6 +24,8 @@ WHY = (
     "Run-Jump: the paper's jump is the height of the hind foot, running backward; the code has the torso, forward. "
     "We follow the paper.",
     "MHMT-SAC: the authors' code ignores terminations for this agent alone; here they end the value, as for all.",
+    "Metaworld-Reach: the paper names neither its goals nor a number; our ten lie on an ellipse in Meta-World's box of "
+    "goals.",
     "The task encoder is one linear layer, as the paper says; the code has a hidden layer.",
     "Reached, midway: the paper does not say how near is near enough; we take 5 % of the distance between the tasks.",
 )
