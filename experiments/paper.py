@@ -150,5 +150,10 @@ OURS = (
         + methods((CHEETAH,), EVALUATION, ablations=("+no-noise", "+no-norm", "+no-noise+no-norm")),
         seeds=2,
     ),
+    Experiment(
+        "reach",
+        "Metaworld-Reach: returns, and goals between goals",
+        methods((REACH,), EVALUATION, INTERPOLATION) + methods((REACH,), EVALUATION, agents=("multihead", "onehot")),
+    ),
 )
 EXPERIMENTS = {experiment.id: experiment for experiment in (*TABLES, *FIGURES, *OURS)}

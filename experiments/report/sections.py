@@ -36,6 +36,7 @@ TABLES: dict[str, Callable[[Found], list[Block]]] = {
     "table-9": tables.normalisation,
     "table-10": blends.composition,
     "agents": tables.agents,
+    "reach": tables.reach,
     **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(FAMILIES)},
     **{
         f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(FAMILIES)
