@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.paper import ANT, numbers
+from experiments.paper import ANT, REACH, numbers
 from experiments.report.found import Run
 from experiments.report.words import NAMES
+
+ANGLES = (ANT, REACH)  # families that command one, in degrees; the others a speed
 
 
 def task_returns(run: Run) -> dict[str, float]:
@@ -63,11 +65,11 @@ def _counted(of_seeds: dict[int, list[bool]]) -> Count | None:
 def difference(family: str, one: Any, other: Any) -> Any:
     """one − other; of directions the short way round, in degrees."""
     apart = np.asarray(one, float) - np.asarray(other, float)
-    return (apart + 180) % 360 - 180 if family == ANT else apart
+    return (apart + 180) % 360 - 180 if family in ANGLES else apart
 
 
 def unit(family: str) -> str:
-    return "°" if family == ANT else "m/s"
+    return "°" if family in ANGLES else "m/s"
 
 
 def paper_return(family: str, agent: str) -> dict[str, float] | None:
@@ -80,9 +82,11 @@ def paper_return(family: str, agent: str) -> dict[str, float] | None:
     return row[table["columns"].index(family)] if row else None
 
 
-def paper_counts(family: str, what: str) -> dict[str, int]:
-    """Success of interpolation in table 5, `mid_task` or `one_to_one`."""
+def paper_counts(family: str, what: str) -> dict[str, int] | None:
+    """Success of interpolation in table 5, `mid_task` or `one_to_one`; None where the paper has none."""
     table = numbers()["table-5"]
+    if family not in table["columns"]:
+        return None
     row = table["panels"][""][("mid_task", "one_to_one").index(what)]
     return row[table["columns"].index(family)]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.paper import ADAPTATION, CHEETAH, FAMILIES, INTERPOLATION, Analysis
+from experiments.paper import ADAPTATION, CHEETAH, FAMILIES, INTERPOLATION, REACH, Analysis
 from experiments.report import documents
 from experiments.report.blocks import Table
 from experiments.report.found import Found, Run
@@ -29,8 +29,9 @@ def rewrite(found: Found) -> None:
 
 def results(found: Found) -> str:
     """What stands between the markers: EAR's returns, interpolation and adaptation, and notes on the runs."""
-    rows = [row for family in FAMILIES for row in _family(family, found.runs(family))]
-    runs = [run for family in FAMILIES for run in found.runs(family)]
+    families = (*FAMILIES, REACH)
+    rows = [row for family in families for row in _family(family, found.runs(family))]
+    runs = [run for family in families for run in found.runs(family)]
     parts = [table(Table("", ("what", "command", "here", "the paper"), rows)), *_machines(runs), *map(_note, runs)]
     return "\n\n".join(filter(None, parts))
 
@@ -40,14 +41,17 @@ def _family(family: str, runs: list[Run]) -> list[list[str]]:
         return []
     paper = paper_return(family, "ear")
     reached = f"{spread([mean_return(run) for run in runs])} ({seeds(runs)}; {_spent([run.last for run in runs])})"
-    steps, updates = map(count, paper_budget(family))
-    theirs = f"{printed(paper)} (3 seeds; {steps} env steps, {updates} updates)"
+    theirs = "a curve, no number"
+    if paper:
+        steps, updates = map(count, paper_budget(family))
+        theirs = f"{printed(paper)} (3 seeds; {steps} env steps, {updates} updates)"
     rows = [[f"{NAMES[family]}, return", f"`{runs[0].command}`", reached, theirs], *_passed(family, runs)]
     for what, words in SUCCESS.items():
         counted = successes(runs, what)
         if counted:
             pairs = f"{counted} pairs ({seeds(counted.seeds)})"
-            rows.append([f"… {words}", _on_run(INTERPOLATION), pairs, printed(paper_counts(family, what))])
+            theirs = paper_counts(family, what)
+            rows.append([f"… {words}", _on_run(INTERPOLATION), pairs, printed(theirs) if theirs else MISSING])
     return rows + _adapted(family, runs)
 
 
@@ -80,7 +84,8 @@ def _adapted(family: str, runs: list[Run]) -> list[list[str]]:
     rows = []
     if searched:
         value = f"{number(float(np.mean(searched)))} on {len(searched)} unseen tasks"
-        rows.append(["… return after 3 epochs of search", _on_run(ADAPTATION), value, "no number; converged by then"])
+        theirs = "no number; converged by then" if family in FAMILIES else MISSING
+        rows.append(["… return after 3 epochs of search", _on_run(ADAPTATION), value, theirs])
     if errors:
         mean = number(float(np.mean(errors)), 2)
         value = f"{mean} {unit(family)} on {len(errors)} unseen tasks, at most {number(max(errors), 2)}"
