@@ -111,7 +111,7 @@ def test_steps_equal_the_whole_scene(reach, kind):
 
 
 def test_the_arm_alone_moves_as_in_the_scene():
-    """In C, without float32 between steps."""
+    """In C, without float32 between steps, on a way that touches nothing."""
     model = load_arm()
     assert (model.nbody, model.nq, model.nv, model.nu, model.nmocap, model.nmesh) == (12, 9, 9, 2, 1, 0)
     data, actions = mujoco.MjData(model), KINDS["random"]

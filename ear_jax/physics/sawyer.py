@@ -33,8 +33,9 @@ def reach_model_path() -> Path:
 def load_arm() -> mujoco.MjModel:
     """The arm alone, led by the hand: 7 hinges, 2 fingers that slide, and a mocap body that the hand is welded to.
 
-    Nothing can touch anything, so that table, puck, walls and all shapes but the claws go; inertias stay, and the arm
-    moves as in the whole scene, to rounding. MJX takes neither the shapes nor the elliptic cone.
+    Table, puck, walls and all shapes but the claws go, and with them every contact; inertias stay. So the arm moves as
+    in the whole scene, to rounding, where it touches nothing there: not the puck, which may stand below where the hand
+    starts, nor a wall. MJX takes neither the shapes nor the elliptic cone.
     """
     spec = _scene()
     for geom in list(spec.geoms):
