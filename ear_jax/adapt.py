@@ -13,8 +13,11 @@ import jax.numpy as jnp
 from flax import struct
 
 from ear_jax import atlas, cem
+from ear_jax.belief import Context
 from ear_jax.evaluate import play
+from ear_jax.grid import Grid, Transition
 from ear_jax.networks import Params
+from ear_jax.rollout import act_with, rollout
 from ear_jax.runtime import compiler_options
 from ear_jax.tasks import Task, TaskParams, TaskSet
 from ear_jax.train import Program, evaluation_keys
@@ -80,6 +83,54 @@ def search_codes(
     return jax.lax.scan(epoch, state, jax.random.split(key_epochs, search.epochs))[1]
 
 
+def infer_codes(
+    program: Program, policy: Params, tasks: TaskParams, key: jax.Array, trials: int, episodes: int
+) -> Progress:
+    """Infers a code for each task from episodes of it, as PEARL does: each is played under a code drawn from what those
+    before it tell, the first under one from the prior.
+
+    Args:
+      program, policy: one seed's trained policy, of an agent that infers codes.
+      tasks: each leaf [tasks].
+      key: seeds everything.
+      trials: how many episodes.
+      episodes: fresh episodes by which the mean of the belief after each is judged.
+
+    Returns:
+      What came of each trial, in place of an epoch; the best of its one candidate is that.
+    """
+    family, agent = program.family, program.agent
+    assert agent.infer
+    infer, scale = jax.vmap(agent.infer, in_axes=(None, 0)), program.config.sac.reward_scale
+    count, steps = len(jax.tree.leaves(tasks)[0]), family.episode_length
+    score = jax.vmap(jax.vmap(family.reward, in_axes=(0, None)))
+
+    def record(step: Transition) -> tuple[jax.Array, ...]:
+        seen = (step.obs, step.action, step.outcome, step.terminated | ~step.valid)
+        return jax.tree.map(lambda leaf: leaf[:, 0], seen)  # [tasks, …]
+
+    def trial(known: Context, given: tuple[jax.Array, jax.Array]) -> tuple[Context, Progress]:
+        index, key = given
+        key_code, key_start, key_noise, key_again = jax.random.split(key, 4)
+        codes = infer(policy, known).draw(jax.random.normal(key_code, (count, agent.code_size)))
+        noise = jax.random.normal(key_noise, (steps, count, 1, family.action_size))
+        act = act_with(agent, policy, codes)
+        _, played = rollout(Grid(family), act, Grid(family).start(key_start, tasks, 1), noise, record)
+        obs, action, outcome, over = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), played)  # [tasks, steps, …]
+        playing = jnp.cumsum(over, axis=1) - over == 0
+        reward = score(outcome, tasks)
+        new = Context(obs, action, scale * reward, playing)
+        known = jax.tree.map(lambda all, one: jax.lax.dynamic_update_slice_in_dim(all, one, index, 1), known, new)
+        mean = infer(policy, known).mean
+        again, achieved = _judge(program, policy, mean, tasks, key_again, episodes)
+        return known, Progress(jnp.sum(jnp.where(playing, reward, 0.0), axis=1), again, achieved, mean)
+
+    size = (count, trials * steps)
+    obs, action = jnp.zeros((*size, family.observation_size)), jnp.zeros((*size, family.action_size))
+    nothing = Context(obs, action, jnp.zeros(size), jnp.zeros(size, bool))
+    return jax.lax.scan(trial, nothing, (steps * jnp.arange(trials), jax.random.split(key, trials)))[1]
+
+
 def adapt(
     trained: Trained, tasks: TaskSet, search: Search | None, episodes: int, seed: int, places: int = atlas.PLACES
 ) -> dict[str, Any]:
@@ -123,7 +174,8 @@ def adapt(
         for run_seed in range(config.seed, config.seed + config.seeds)
         for task in tasks.tasks
     ]
-    episodes_searched = len(tasks) * search.epochs * search.candidates if search else 0
+    candidates = 1 if program.agent.infer else search.candidates if search else 0
+    episodes_searched = len(tasks) * search.epochs * candidates if search else 0
     seeds_steps = config.seeds * program.family.episode_length
     return {
         "tasks": found,
@@ -141,6 +193,8 @@ def _search_all(
     keys = jax.random.split(jax.random.key(seed), count)
 
     def of_seed(policy: Params, key: jax.Array) -> Progress:
+        if program.agent.infer:
+            return infer_codes(program, policy, tasks.params, key, search.epochs, episodes)
         return search_codes(program, policy, tasks.params, key, search, episodes)
 
     progress = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))

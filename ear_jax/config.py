@@ -122,7 +122,7 @@ class Config:
     preset: str = "fast"
     """paper, fast or smoke, and what of EAR to leave out: fast+no-noise, fast+no-norm, fast+no-noise+no-norm."""
     agent: str = "ear"
-    """ear, ear-rnn (recurrent), onehot, onehot-blind (the one-hot zeroed) or multihead."""
+    """ear, ear-rnn (recurrent), onehot, onehot-blind (the one-hot zeroed), multihead or pearl."""
     engine: str = "auto"
     """Physics engine: auto, native (CPU), mjx, or warp (an extra; NVIDIA's kernels)."""
     seed: int = 0

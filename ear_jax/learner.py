@@ -12,6 +12,7 @@ from flax import struct
 
 from ear_jax import losses, replay
 from ear_jax.agents import Agent
+from ear_jax.belief import Belief, Context, prior, where
 from ear_jax.config import Config
 from ear_jax.envs.family import Family
 from ear_jax.losses import Batch, Noise
@@ -21,6 +22,10 @@ from ear_jax.tasks import TaskParams
 
 CRITICS = 2
 LAST_LR = 0.1  # of the step size, where it decays
+# Where codes are inferred (katerakelly/oyster): steps that a belief is made of, how often collection acts under a code
+# drawn from the prior, and the weight of a belief's divergence from it, which is theirs of 0.1 where rewards are theirs
+# times 5, and keeps its part in the critics' loss at any other scale.
+CONTEXT, PRIOR_SHARE, DIVERGENCE = 100, 0.4, 0.1 / 5**2
 
 
 @struct.dataclass
@@ -53,6 +58,8 @@ class Draws:
     place: jax.Array  # [n] in [0, 1), where in that ring
     now: Noise
     next: Noise
+    context: jax.Array  # [tasks, steps] in [0, 1), which of a task's newest steps its code is inferred from
+    belief: jax.Array  # [tasks, code], by which that code is drawn
 
 
 @dataclass(frozen=True)
@@ -92,9 +99,24 @@ class Learner:
 
     def observe(self, state: LearnerState, buffer: Replay) -> LearnerState:
         """Standardises by what replay holds, where the configuration asks for it."""
-        if not self.config.network.standardise_obs:
-            return state
-        return replace(state, policy={**state.policy, "standardiser": replay.standardiser(buffer)})
+        policy = state.policy
+        if self.config.network.standardise_obs:
+            policy = {**policy, "standardiser": replay.standardiser(buffer)}
+        if self.agent.infer:
+            place = jnp.broadcast_to((jnp.arange(CONTEXT) + 0.5) / CONTEXT, (self.task_count, CONTEXT))
+            policy = {**policy, "codes": self._beliefs(policy, buffer, place).mean}
+        return replace(state, policy=policy)
+
+    def codes_to_act(self, policy: Params, buffer: Replay, key: jax.Array) -> jax.Array:
+        """The table [tasks, code] that collection acts under; inferred codes are drawn, now and then from the prior."""
+        if not self.agent.infer:
+            return self.agent.codes(policy)
+        key_place, key_prior, key_code = jax.random.split(jax.random.fold_in(key, 1), 3)
+        shape = (self.task_count, self.agent.code_size)
+        beliefs = self._beliefs(policy, buffer, jax.random.uniform(key_place, (self.task_count, CONTEXT)))
+        unknown = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape), prior(self.agent.code_size))
+        beliefs = where(jax.random.uniform(key_prior, (self.task_count,)) < PRIOR_SHARE, unknown, beliefs)
+        return beliefs.draw(jax.random.normal(key_code, shape))
 
     def draw(self, key: jax.Array, updates: int) -> Draws:
         """The randomness of `updates` updates, each leaf [updates, n, …]."""
@@ -112,7 +134,11 @@ class Learner:
                 jax.random.normal(key_code, (updates, n, self.agent.code_size)),
             )
 
-        return Draws(source, jax.random.uniform(keys[2], (updates, n)), noise(keys[3]), noise(keys[4]))
+        place = jax.random.uniform(keys[2], (updates, n))
+        key_context, key_belief = jax.random.split(keys[5])
+        context = jax.random.uniform(key_context, (updates, tasks, CONTEXT if self.agent.infer else 0))
+        belief = jax.random.normal(key_belief, (updates, tasks, self.agent.code_size if self.agent.infer else 0))
+        return Draws(source, place, noise(keys[3]), noise(keys[4]), context, belief)
 
     def update(self, state: LearnerState, buffer: Replay, draws: Draws) -> tuple[LearnerState, dict[str, jax.Array]]:
         """One step of critics, policy and temperature, all differentiated where the state stood before it.
@@ -127,16 +153,20 @@ class Learner:
         """
         batch = self._batch(buffer, draws)
         temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
-        target = self._target(state, batch, draws.next)
+        inferred, _ = self._table(state.policy, buffer, draws)
+        target = self._target(state, batch, inferred, draws.next)
         obs = state.policy["standardiser"](batch.obs)  # as critics see it
 
-        def critic_objective(critics):
-            values = losses.q_values(critics, self.agent, obs, batch.action, batch.task, self.task_count)
-            return losses.critic_loss(values, target), values
+        def critic_objective(critics, policy):
+            table, divergence = self._table(policy, buffer, draws)
+            values = losses.q_values(critics, self.agent, obs, batch.action, self._shown(table, batch.task))
+            weight = DIVERGENCE * self.config.sac.reward_scale**2
+            return losses.critic_loss(values, target) + weight * divergence, values
 
         def actor_objective(policy):
-            action, log_prob = losses.sample_policy(policy, self.agent, batch.obs, batch.task, draws.now)
-            value = losses.q_values(state.critics, self.agent, obs, action, batch.task, self.task_count)
+            table = inferred if self.agent.infer else self.agent.codes(policy)
+            action, log_prob = losses.sample_policy(policy, self.agent, table, batch.obs, batch.task, draws.now)
+            value = losses.q_values(state.critics, self.agent, obs, action, self._shown(table, batch.task))
             believed = losses.believed(value, self.config.sac.pessimism)
             return losses.actor_loss(believed, log_prob, temperature), log_prob
 
@@ -144,8 +174,10 @@ class Learner:
             target_entropy = -float(self.family.action_size)
             return losses.temperature_loss(_of_items(log_temperature, batch.task), log_prob, target_entropy)
 
-        (critic_loss, values), critic_grad = jax.value_and_grad(critic_objective, has_aux=True)(state.critics)
+        of_both = jax.value_and_grad(critic_objective, argnums=(0, 1), has_aux=True)
+        (critic_loss, values), (critic_grad, belief_grad) = of_both(state.critics, state.policy)
         (actor_loss, log_prob), actor_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
+        actor_grad = jax.tree.map(jnp.add, actor_grad, belief_grad)  # which is none where codes are not inferred
         temperature_grad = jax.grad(temperature_objective)(state.log_temperature)
 
         policy, policy_optimiser = self._apply(actor_grad, state.policy_optimiser, state.policy)
@@ -187,10 +219,32 @@ class Learner:
         reward = self.config.sac.reward_scale * jax.vmap(self.family.reward)(items.outcome, params)
         return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)
 
-    def _target(self, state: LearnerState, batch: Batch, noise: Noise) -> jax.Array:
-        action, log_prob = losses.sample_policy(state.policy, self.agent, batch.next_obs, batch.task, noise)
+    def _table(self, policy: Params, buffer: Replay, draws: Draws) -> tuple[jax.Array, jax.Array]:
+        """Codes [tasks, code], drawn where they are inferred, and the divergence of all beliefs from the prior."""
+        if not self.agent.infer:
+            return self.agent.codes(policy), jnp.zeros(())
+        beliefs = self._beliefs(policy, buffer, draws.context)
+        return beliefs.draw(draws.belief), jnp.sum(jax.vmap(Belief.divergence)(beliefs))
+
+    def _beliefs(self, policy: Params, buffer: Replay, place: jax.Array) -> Belief:
+        """What the newest steps of each task tell of its code, each leaf [tasks, code]."""
+        assert self.agent.infer
+        collect = self.config.collect
+        items, held = replay.recent(buffer, place, collect.envs * collect.steps)
+        score = jax.vmap(jax.vmap(self.family.reward, in_axes=(0, None)))
+        reward = self.config.sac.reward_scale * score(items.outcome, self.tasks)
+        contexts = Context(items.obs, items.action, reward, held)
+        return jax.vmap(self.agent.infer, in_axes=(None, 0))(policy, contexts)
+
+    def _shown(self, table: jax.Array, task: jax.Array) -> jax.Array:
+        """What critics know the tasks of a batch by, [n, ·]: one-hots, or codes where those are inferred."""
+        return table[task] if self.agent.infer else jax.nn.one_hot(task, self.task_count)
+
+    def _target(self, state: LearnerState, batch: Batch, table: jax.Array, noise: Noise) -> jax.Array:
+        action, log_prob = losses.sample_policy(state.policy, self.agent, table, batch.next_obs, batch.task, noise)
         next_obs = state.policy["standardiser"](batch.next_obs)
-        value = losses.q_values(state.target_critics, self.agent, next_obs, action, batch.task, self.task_count)
+        shown = self._shown(table, batch.task)
+        value = losses.q_values(state.target_critics, self.agent, next_obs, action, shown)
         believed = losses.believed(value, self.config.sac.pessimism)
         temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
         return losses.td_target(batch, believed, log_prob, temperature, self.config.sac.discount)

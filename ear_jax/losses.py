@@ -35,10 +35,9 @@ class Noise:
 
 
 def sample_policy(
-    policy: Params, agent: Agent, obs: jax.Array, task: jax.Array, noise: Noise
+    policy: Params, agent: Agent, table: jax.Array, obs: jax.Array, task: jax.Array, noise: Noise
 ) -> tuple[jax.Array, jax.Array]:
-    """Actions [n, act] and log-densities [n], each under its task's perturbed code (algorithm 1)."""
-    table = agent.codes(policy)
+    """Actions [n, act] and log-densities [n], each under its task's perturbed code of the table (algorithm 1)."""
 
     def one(obs, task, noise):
         code = agent.project(table[task] + agent.code_noise * noise.code)
@@ -47,15 +46,13 @@ def sample_policy(
     return jax.vmap(one)(obs, task, noise)
 
 
-def q_values(
-    critics: Params, agent: Agent, obs: jax.Array, action: jax.Array, task: jax.Array, tasks: int
-) -> jax.Array:
-    """Every critic's value, [critics, n].
+def q_values(critics: Params, agent: Agent, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
+    """Every critic's value, [critics, n]; `task` [n, ·] is what critics know each item's task by.
 
     Critics are the outer axis: each layer is then one batched matmul of all of them, without a transposition between.
     """
     of_batch = jax.vmap(agent.value, in_axes=(None, 0, 0, 0))
-    return jax.vmap(of_batch, in_axes=(0, None, None, None))(critics, obs, action, jax.nn.one_hot(task, tasks))
+    return jax.vmap(of_batch, in_axes=(0, None, None, None))(critics, obs, action, task)
 
 
 def believed(values: jax.Array, pessimism: float) -> jax.Array:

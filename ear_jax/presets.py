@@ -69,11 +69,17 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
 
 # And for one agent: the authors' code of the baselines, and how far back a recurrent one reads.
 _RECURRENT = {"network": {"history": 8}}
+_INFERRED = {"lte_size": 5, "task_width": 200, "task_layers": 3}
 AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("paper", "multihead"): {
         "network": {"decoder_layers": 3, "critic_layers": 3},
         "sac": {"max_grad_norm": 1.0},
     },
+    ("paper", "pearl"): {
+        "network": {**_INFERRED, "width": 300, "decoder_layers": 3, "critic_layers": 3},
+        "sac": {"reward_scale": 5.0},
+    },
+    **{(preset, "pearl"): {"network": _INFERRED} for preset in ("fast", "smoke")},
     **{(preset, "ear-rnn"): _RECURRENT for preset in PRESETS},
     # An update takes 4.5 times as long as EAR's, and an hour of one core has room for no more epochs.
     ("fast", "ear-rnn"): {**_RECURRENT, "epochs": 110, "sac": {"lr_decay": 44_000}},

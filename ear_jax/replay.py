@@ -74,6 +74,24 @@ def gather(replay: Replay, source: jax.Array, slot: jax.Array) -> Experience:
     return jax.tree.map(lambda ring: ring[source, slot], replay.rings)
 
 
+def recent(replay: Replay, place: jax.Array, window: int) -> tuple[Experience, jax.Array]:
+    """Items among the newest `window` of each task's ring, and whether there are any.
+
+    Args:
+      replay: the rings.
+      place: [tasks, n] in [0, 1), where among them: the newest at 0.
+      window: of how many.
+
+    Returns:
+      Items [tasks, n], and a bool [tasks, n].
+    """
+    held = jnp.minimum(replay.size, window)[:, None]
+    back = 1 + jnp.minimum((place * held).astype(jnp.int32), jnp.maximum(held - 1, 0))
+    slot = (replay.added[:, None] - back) % replay.rings.terminated.shape[1]
+    source = jnp.broadcast_to(jnp.arange(len(place))[:, None], place.shape)
+    return gather(replay, source, slot), jnp.broadcast_to(held > 0, place.shape)
+
+
 def standardiser(replay: Replay) -> Standardiser:
     """The mean and spread of the observations held, of which there are some.
 

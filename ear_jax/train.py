@@ -113,7 +113,7 @@ def collect(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
     settings, family = program.config.collect, program.family
     shape = (settings.steps, len(program.tasks), settings.envs, family.action_size)
     policy = state.learner.policy
-    act = act_with(program.agent, policy, program.agent.codes(policy))
+    act = act_with(program.agent, policy, program.learner.codes_to_act(policy, state.replay, key))
     noise = jax.random.normal(key, shape)
     cells, transitions = rollout(Grid(family), act, state.cells, noise, _whole)
     invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)

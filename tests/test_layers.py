@@ -13,7 +13,19 @@ PACKAGE = Path(ear_jax.__file__).parent
 # From the bottom up; a module may import only from rows above its own, or from its own package.
 LAYERS = [
     {"errors", "quiet", "stopping"},
-    {"records", "manifest", "lock", "safetensors", "leaves", "tasks", "config", "physics", "networks", "policy"},
+    {
+        "records",
+        "manifest",
+        "lock",
+        "safetensors",
+        "leaves",
+        "tasks",
+        "config",
+        "physics",
+        "networks",
+        "policy",
+        "belief",
+    },
     {"presets", "runtime", "terminal", "checkpoint", "export", "directory", "failure", "report", "ltes", "pretrained"},
     {"envs", "agents", "stage"},
     {"grid", "codes", "seeds"},

@@ -21,10 +21,12 @@ from ear_jax.train import Program
 
 def bandit_program(agent: str = "ear", kind: type[Bandit] = Bandit, history: int = 1, **sac: object) -> Program:
     base = Config(kind.name, agent=agent)
+    inferred = agent == "pearl"
+    encoder = {"task_layers": 1, "task_width": 32} if inferred else {}
     config = dataclasses.replace(
         base,
-        network=NetworkConfig(32, 1, 1, 1, initialiser="fan_in", history=history),
-        sac=dataclasses.replace(base.sac, lr=1e-2, batch_size=64, updates=50, **sac),
+        network=NetworkConfig(32, 1, 1, 1, initialiser="fan_in", history=history, **encoder),
+        sac=dataclasses.replace(base.sac, **{"lr": 3e-3 if inferred else 1e-2, "batch_size": 64, "updates": 50, **sac}),
         collect=dataclasses.replace(base.collect, envs=16, steps=2, pretrain_epochs=4),
         replay=dataclasses.replace(base.replay, capacity=4000),
     )
@@ -152,10 +154,11 @@ def test_truncation_bootstraps_and_termination_does_not(program, begun):
     draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
     batch = program.learner._batch(begun.replay, draws)
     assert batch.terminated.all(), "every step of a bandit ends it"
-    ended = program.learner._target(begun.learner, batch, draws.next)
+    table = program.agent.codes(begun.learner.policy)
+    ended = program.learner._target(begun.learner, batch, table, draws.next)
     np.testing.assert_allclose(ended, batch.reward)
     going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
-    assert (program.learner._target(begun.learner, going, draws.next) != batch.reward).all()
+    assert (program.learner._target(begun.learner, going, table, draws.next) != batch.reward).all()
 
 
 def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(begun):
@@ -166,6 +169,7 @@ def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(begun):
         draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
         batch = program.learner._batch(begun.replay, draws)
         going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
-        targets.append(float(jnp.mean(program.learner._target(begun.learner, going, draws.next))))
+        table = program.agent.codes(begun.learner.policy)
+        targets.append(float(jnp.mean(program.learner._target(begun.learner, going, table, draws.next))))
     assert losses[0] < losses[1] < losses[2]
     assert targets[0] > targets[1] > targets[2]

@@ -7,12 +7,20 @@ from ear_jax.agents.ear import ear
 from ear_jax.agents.ear_rnn import ear_rnn
 from ear_jax.agents.multihead import multihead
 from ear_jax.agents.onehot import onehot, onehot_blind
+from ear_jax.agents.pearl import pearl
 from ear_jax.config import NetworkConfig
 from ear_jax.errors import unknown
 
 __all__ = ["AGENTS", "Agent", "make_agent"]
 
-AGENTS = {"ear": ear, "ear-rnn": ear_rnn, "onehot": onehot, "onehot-blind": onehot_blind, "multihead": multihead}
+AGENTS = {
+    "ear": ear,
+    "ear-rnn": ear_rnn,
+    "onehot": onehot,
+    "onehot-blind": onehot_blind,
+    "multihead": multihead,
+    "pearl": pearl,
+}
 
 
 def make_agent(

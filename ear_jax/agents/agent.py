@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import jax
 
+from ear_jax.belief import Belief, Context
 from ear_jax.config import NetworkConfig
 from ear_jax.networks import Network, Params, identity, mlp
 from ear_jax.policy import Gaussian
@@ -28,9 +29,11 @@ class Agent:
     project: Callable[[jax.Array], jax.Array]  # any vector [code] → the code nearest to it, as the unit sphere's
     code_noise: float  # σ of the noise on a code in the actor's objectives, before it is projected again
     distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
-    value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # one critic's parameters, obs, action, task
+    value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # one critic's parameters, obs, action, task,
+    # which is told by its one-hot, or by its code where that is inferred
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE, where there is one
     own_temperatures: bool = False  # a temperature for each task, instead of one that all share
+    infer: Callable[[Params, Context], Belief] | None = None  # policy parameters, what happened in a task → its code
 
     @property
     def parameter_counts(self) -> dict[str, int]:
@@ -41,23 +44,33 @@ class Agent:
 def standardised(agent: Agent, obs_size: int) -> Agent:
     """An agent whose policy standardises what it sees, with statistics that are among its parameters.
 
-    Those become `{"standardiser": …, "networks": …}`. Critics are shown standardised observations by the learner.
+    Those become `{"standardiser": …, "networks": …}`. Critics are shown standardised observations by the learner. Where
+    codes are inferred, `"codes"` holds the table of what was believed last.
     """
 
     def init_policy(key: jax.Array) -> Params:
-        return {"standardiser": identity(obs_size), "networks": agent.init_policy(key)}
+        policy = {"standardiser": identity(obs_size), "networks": agent.init_policy(key)}
+        return {**policy, "codes": agent.codes(policy["networks"])} if agent.infer else policy
+
+    def codes(policy: Params) -> jax.Array:
+        return policy["codes"] if agent.infer else agent.codes(policy["networks"])
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
         return agent.distribution(policy["networks"], code, policy["standardiser"](obs))
 
-    embed = agent.embed
+    embed, infer = agent.embed, agent.infer
     return replace(
         agent,
         init_policy=init_policy,
-        codes=lambda policy: agent.codes(policy["networks"]),
+        codes=codes,
         distribution=distribution,
         embed=embed and (lambda policy, obs: embed(policy["networks"], policy["standardiser"](obs))),
+        infer=infer and (lambda policy, seen: infer(policy["networks"], _standard(policy, seen))),
     )
+
+
+def _standard(policy: Params, context: Context) -> Context:
+    return replace(context, obs=policy["standardiser"](context.obs))
 
 
 def critic_network(inputs: int, outputs: int, config: NetworkConfig) -> Network:

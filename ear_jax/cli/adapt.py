@@ -25,7 +25,7 @@ from ear_jax.trained import load
 
 @dataclass(frozen=True)
 class AdaptCommand:
-    """Search the codes of tasks the policy was never trained on, by the cross-entropy method."""
+    """Find codes for tasks the policy was never trained on: search by the cross-entropy method; PEARL infers them."""
 
     run: tyro.conf.Positional[Path]
     """The run directory, an exported file, or pretrained:NAME."""
@@ -36,7 +36,7 @@ class AdaptCommand:
     save: str | None = None
     """Keep the LTE found for the one target under this name; other commands take it as --lte NAME."""
     epochs: int = 10
-    """Epochs of the search."""
+    """Epochs of the search; of PEARL, episodes a code is inferred from."""
     elites: int = 6
     """Codes kept from one epoch to the next."""
     samples: int = 14
@@ -75,10 +75,10 @@ def main(words: list[str]) -> None:
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
     if command.zero_shot and any(task.target is None for task in tasks.tasks):
         raise UsageError(f"--zero-shot answers tasks that command a {family.commanded}")
-    what = (
-        "mapping the sphere" if command.zero_shot else f"searching {len(tasks)} × {search.epochs} × {search.candidates}"
-    )
-    with phase(what):
+    what = f"searching {len(tasks)} × {search.epochs} × {search.candidates}"
+    if trained.program.agent.infer:
+        what = f"inferring {len(tasks)} codes from {search.epochs} episodes each"
+    with phase("mapping the sphere" if command.zero_shot else what):
         document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
     records.write_json(trained.directory / "adaptation.json", {**document, **records.provenance()})
     if command.save is not None:
