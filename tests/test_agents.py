@@ -20,6 +20,7 @@ from ear_jax.learner import Learner
 from ear_jax.policy import Gaussian
 from ear_jax.presets import preset_config
 from ear_jax.tasks import task_set
+from ear_jax.train import Program, TrainState
 from ear_jax.trained import Trained
 
 CHEETAH = (17, 6, 10)  # observations, actions, tasks
@@ -153,10 +154,15 @@ def test_a_task_moves_its_own_heads_and_temperature_and_the_body():
     assert all(leaf.any() for leaf in jax.tree.leaves((policy, critics)))
 
 
-def test_an_inferred_code_is_taught_by_the_critics_alone(monkeypatch):
-    """The policy's loss does not reach the encoder, and the table of codes is no gradient's."""
+@pytest.fixture(scope="module")
+def inferring() -> tuple[Program, TrainState]:
     program = bandit_program("pearl")
-    state = begin(program)
+    return program, begin(program)
+
+
+def test_an_inferred_code_is_taught_by_the_critics_alone(inferring, monkeypatch):
+    """The policy's loss does not reach the encoder, and the table of codes is no gradient's."""
+    program, state = inferring
     before, after, _ = one_update(program, state)
     changed = moved(before.policy, after.policy)
     assert all(leaf.any() for leaf in jax.tree.leaves((changed["networks"], moved(before.critics, after.critics))))
@@ -169,10 +175,9 @@ def test_an_inferred_code_is_taught_by_the_critics_alone(monkeypatch):
     assert all(leaf.any() for leaf in jax.tree.leaves(changed["actor"]))
 
 
-def test_a_code_is_inferred_from_the_newest_steps_of_its_own_task():
+def test_a_code_is_inferred_from_the_newest_steps_of_its_own_task(inferring):
     """Another task's steps, and steps older than an epoch, change nothing."""
-    program = bandit_program("pearl")
-    state = begin(program)
+    program, state = inferring
     learner, rings = program.learner, state.replay.rings
     window = program.config.collect.envs * program.config.collect.steps
     newest = int(state.replay.added[0])
@@ -191,9 +196,8 @@ def test_a_code_is_inferred_from_the_newest_steps_of_its_own_task():
     assert (other[1] != plain[1]).any()
 
 
-def test_collection_acts_under_drawn_codes_now_and_then_from_the_prior(monkeypatch):
-    program = bandit_program("pearl")
-    state = begin(program)
+def test_collection_acts_under_drawn_codes_now_and_then_from_the_prior(inferring, monkeypatch):
+    program, state = inferring
     policy = program.learner.observe(state.learner, state.replay).policy
     keys = jax.random.split(jax.random.key(0), 400)
 
