@@ -167,7 +167,10 @@ def test_paper_preset_is_the_papers():
     assert (config.replay.capacity, config.collect.pretrain_epochs) == (1_000_000, 20)
 
 
-@pytest.mark.parametrize("agent", AGENTS)
+SLOWLY = {"ear", "onehot", "onehot-blind"}  # others show what these would: ear trains in many tests, one-hots are as it
+
+
+@pytest.mark.parametrize("agent", [pytest.param(one, marks=[pytest.mark.slow] * (one in SLOWLY)) for one in AGENTS])
 def test_every_agent_trains(agent, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["train", "halfcheetah-vel", *TINY, "--agent", agent, "--out", "run"]) == 0

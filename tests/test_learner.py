@@ -70,7 +70,8 @@ def begun(program: Program) -> train.TrainState:
 def one_update(program: Program, state: train.TrainState, **changes: object):
     draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
     learner = dataclasses.replace(state.learner, **changes)
-    return learner, *program.learner.update(learner, state.replay, draws)
+    update = jax.jit(program.learner.update, compiler_options=compiler_options())
+    return learner, *update(learner, state.replay, draws)
 
 
 def test_code_alone_tells_two_tasks_apart(program, begun):
