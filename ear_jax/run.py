@@ -17,7 +17,7 @@ import numpy as np
 
 from ear_jax import checkpoint, records, train
 from ear_jax.checkpoint import Step
-from ear_jax.config import Config
+from ear_jax.config import Config, flat, from_dict
 from ear_jax.directory import check_place, check_settings, check_tasks
 from ear_jax.errors import RunError
 from ear_jax.estimate import check_memory
@@ -85,8 +85,9 @@ def train_run(config: Config, directory: Path) -> None:
 
 def _write_settings(path: Path, about: dict[str, Any]) -> None:
     """Says what the run is; of one that goes on, only the settings, which may name more epochs than before."""
-    before = records.read_run(path.parent) if path.exists() else about
-    records.write_json(path, {**before, "config": about["config"]})
+    before = records.read_run(path.parent) if path.exists() else {}
+    if flat(from_dict(before.get("config", {"family": ""}))) != flat(from_dict(about["config"])):
+        records.write_json(path, {**about, **before, "config": about["config"]})
 
 
 def _standing(directory: Path, program: Program, warn: Callable[[str], None]) -> tuple[Step | None, int, float]:

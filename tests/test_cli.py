@@ -167,7 +167,7 @@ def test_paper_preset_is_the_papers():
     assert (config.replay.capacity, config.collect.pretrain_epochs) == (1_000_000, 20)
 
 
-SLOWLY = {"ear", "onehot", "onehot-blind"}  # others show what these would: ear trains in many tests, one-hots are as it
+SLOWLY = {"ear", "onehot", "onehot-blind"}  # for time: ear trains in many tests, and one-hots add no state of their own
 
 
 @pytest.mark.parametrize("agent", [pytest.param(one, marks=[pytest.mark.slow] * (one in SLOWLY)) for one in AGENTS])
