@@ -69,11 +69,20 @@ class SacConfig:
 
 
 @dataclass(frozen=True)
+class MamlConfig:
+    inner_lr: float = 0.1
+    """Step size of the gradient step that tunes the policy to a task."""
+    max_divergence: float = 0.01
+    """How far an update may move the tuned policies, their mean KL divergence."""
+    discount: float = 0.99
+
+
+@dataclass(frozen=True)
 class CollectConfig:
     envs: int = 1
     """Environments per task."""
     steps: int = 200
-    """Steps of each environment in an epoch."""
+    """Steps of each environment in an epoch; of MAML, half before and half after its step."""
     pretrain_epochs: int = 20
     """Epochs of collection with the untrained policy, without updates."""
     stagger: bool = False
@@ -122,7 +131,7 @@ class Config:
     preset: str = "fast"
     """paper, fast or smoke, and what of EAR to leave out: fast+no-noise, fast+no-norm, fast+no-noise+no-norm."""
     agent: str = "ear"
-    """ear, ear-rnn (recurrent), onehot, onehot-blind (the one-hot zeroed), multihead or pearl."""
+    """ear, ear-rnn (recurrent), onehot, onehot-blind (the one-hot zeroed), multihead, pearl or maml."""
     engine: str = "auto"
     """Physics engine: auto, native (CPU), mjx, or warp (an extra; NVIDIA's kernels)."""
     seed: int = 0
@@ -138,6 +147,7 @@ class Config:
     env: EnvConfig = field(default_factory=EnvConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     sac: SacConfig = field(default_factory=SacConfig)
+    maml: MamlConfig = field(default_factory=MamlConfig)
     collect: CollectConfig = field(default_factory=CollectConfig)
     replay: ReplayConfig = field(default_factory=ReplayConfig)
     log: LogConfig = field(default_factory=LogConfig)
@@ -200,6 +210,12 @@ def check(config: Config, tasks: int) -> None:
     for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{_flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
+    if config.agent == "maml":  # which neither replays nor draws batches
+        if config.collect.steps % 2:
+            raise UsageError(
+                f"--collect.steps {config.collect.steps} cannot be halved; maml needs as many before its step"
+            )
+        return
     if config.sac.batch_size % tasks:
         lower = max(1, config.sac.batch_size // tasks) * tasks
         raise UsageError(
@@ -235,6 +251,9 @@ _MINIMA: dict[str, int] = {
 _RANGES: dict[str, tuple[float, float]] = {
     "sac.lr": (0.0, 1.0),
     "sac.discount": (0.0, 1.0),
+    "maml.discount": (0.0, 1.0),
+    "maml.inner_lr": (0.0, 1e3),
+    "maml.max_divergence": (0.0, 1e3),
     "sac.tau": (0.0, 1.0),
     "sac.reward_scale": (0.0, 1e6),
     "sac.initial_temperature": (0.0, 1e6),

@@ -70,6 +70,8 @@ def times(config: Config) -> Times:
     """
     collect, sac = config.collect, config.sac
     steps, updates = min(FEW, collect.steps), min(FEW, sac.updates)
+    if config.agent == "maml":  # its update sees all steps of an epoch
+        steps, updates = collect.steps, sac.updates
     few = replace(config, collect=replace(collect, steps=steps), sac=replace(sac, updates=updates))
     program, keys = train.make_program(few), train.seed_keys(few)
 

@@ -1,4 +1,4 @@
-"""One gradient step of multi-task SAC, for any agent."""
+"""Multi-task SAC for any agent: an epoch's collection, its updates, and one of these."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from ear_jax.agents import Agent
 from ear_jax.belief import Belief, Context, prior, where
 from ear_jax.config import Config
 from ear_jax.envs.family import Family
+from ear_jax.grid import Cell, Grid, Transition
 from ear_jax.losses import Batch, Noise
 from ear_jax.networks import Params
-from ear_jax.replay import Replay
+from ear_jax.replay import Experience, Replay
+from ear_jax.rollout import act_with, rollout
 from ear_jax.tasks import TaskParams
 
 CRITICS = 2
@@ -96,6 +98,39 @@ class Learner:
             critic_optimiser=jax.vmap(self.optimiser.init)(critics),
             temperature_optimiser=self.optimiser.init(log_temperature),
         )
+
+    def memory(self, cells: Cell) -> Replay:
+        """Empty rings for what such environments [tasks, envs] go through."""
+        obs = jnp.zeros(self.family.observation_size)
+        outcome = jax.tree.map(lambda leaf: leaf[0, 0], cells.state.metrics)
+        item = Experience(obs, jnp.zeros(self.family.action_size), obs, outcome, jnp.zeros((), bool))
+        return replay.init(item, self.task_count, self.config.replay.capacity // self.task_count)
+
+    def collect(
+        self, state: LearnerState, buffer: Replay, cells: Cell, key: jax.Array
+    ) -> tuple[Cell, Replay, dict[str, jax.Array]]:
+        """Every task's environments act under its own code, into its own ring."""
+        settings = self.config.collect
+        shape = (settings.steps, self.task_count, settings.envs, self.family.action_size)
+        act = act_with(self.agent, state.policy, self.codes_to_act(state.policy, buffer, key))
+        cells, transitions = rollout(Grid(self.family), act, cells, jax.random.normal(key, shape), _whole)
+        invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
+        return cells, replay.add(buffer, transitions), {"invalid_steps": invalid}
+
+    def learn(self, state: LearnerState, buffer: Replay, key: jax.Array) -> tuple[LearnerState, dict[str, jax.Array]]:
+        """An epoch's updates.
+
+        Returns:
+          Where the learner stands then, and its metrics: scalars averaged over the updates, and `sound_updates`
+          [tasks], the updates before the first in which a task's loss was not finite.
+        """
+        state, watched = jax.lax.scan(
+            lambda state, draws: self.update(state, buffer, draws),
+            self.observe(state, buffer),
+            self.draw(key, self.config.sac.updates),
+        )
+        sound = jnp.sum(jnp.cumprod(watched.pop("sound"), axis=0), axis=0)  # from [updates, tasks]
+        return state, {**jax.tree.map(jnp.mean, watched), "sound_updates": sound}
 
     def observe(self, state: LearnerState, buffer: Replay) -> LearnerState:
         """Standardises by what replay holds, where the configuration asks for it."""
@@ -257,3 +292,7 @@ class Learner:
 def _of_items(temperature: jax.Array, task: jax.Array) -> jax.Array:
     """What of all temperatures, or of their logarithms, is each item's: the shared scalar, or its task's [n]."""
     return temperature[task] if temperature.ndim else temperature
+
+
+def _whole(transition: Transition) -> Transition:
+    return transition

@@ -13,6 +13,7 @@ from flax import struct
 
 Params = Any
 Initialiser = Literal["authors", "fan_in"]
+Activation = Callable[[jax.Array], jax.Array]
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class _Mlp(nn.Module):
     out: int
     initialiser: Initialiser
     layer_norm: bool
+    activation: Activation
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
@@ -47,17 +49,24 @@ class _Mlp(nn.Module):
             x = nn.Dense(width, kernel_init=kernel, bias_init=bias)(x)
             if self.layer_norm:
                 x = nn.LayerNorm()(x)
-            x = nn.relu(x)
+            x = self.activation(x)
         return nn.Dense(self.out, kernel_init=last, bias_init=last_bias)(x)
 
 
-def mlp(size: int, widths: tuple[int, ...], out: int, initialiser: Initialiser, layer_norm: bool = False) -> Network:
-    """ReLU layers of the given widths from `size` inputs to `out` outputs; without widths, one linear layer.
+def mlp(
+    size: int,
+    widths: tuple[int, ...],
+    out: int,
+    initialiser: Initialiser,
+    layer_norm: bool = False,
+    activation: Activation = jax.nn.relu,
+) -> Network:
+    """Layers of the given widths, ReLU by default, from `size` inputs to `out`; without widths, one linear layer.
 
     Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or
     by `fan_in` (all weights U(±1/√fan_in), all biases 0).
     """
-    module = _Mlp(widths, out, initialiser, layer_norm)
+    module = _Mlp(widths, out, initialiser, layer_norm, activation)
     return Network(
         lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
     )

@@ -67,9 +67,14 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("smoke", "halfcheetah-run-jump"): {"tasks": ("back-1", "back-3", "jump-5")},
 }
 
-# And for one agent: the authors' code of the baselines, and how far back a recurrent one reads.
+# And for one agent: the code of the baselines, and how far back a recurrent one reads.
 _RECURRENT = {"network": {"history": 8}}
 _INFERRED = {"lte_size": 5, "task_width": 200, "task_layers": 3}
+_TUNED: dict[str, Any] = {
+    "network": {"width": 64, "decoder_layers": 2, "initialiser": "fan_in", "standardise_obs": False},
+    "sac": {"updates": 1, "lr_decay": 0},
+    "collect": {"envs": 20, "steps": 400, "pretrain_epochs": 1, "stagger": False},
+}
 AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("paper", "multihead"): {
         "network": {"decoder_layers": 3, "critic_layers": 3},
@@ -80,6 +85,10 @@ AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
         "sac": {"reward_scale": 5.0},
     },
     **{(preset, "pearl"): {"network": _INFERRED} for preset in ("fast", "smoke")},
+    # A step of MAML needs fresh episodes of all tasks, before and after tuning: 20 of each.
+    ("paper", "maml"): {**_TUNED, "epochs": 1000},
+    ("fast", "maml"): {**_TUNED, "epochs": 300},
+    ("smoke", "maml"): {**_TUNED, "epochs": 20},
     **{(preset, "ear-rnn"): _RECURRENT for preset in PRESETS},
     # An update takes 4.5 times as long as EAR's, and an hour of one core has room for no more epochs.
     ("fast", "ear-rnn"): {**_RECURRENT, "epochs": 110, "sac": {"lr_decay": 44_000}},

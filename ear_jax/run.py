@@ -267,8 +267,9 @@ def header(program: Program, directory: Path) -> str:
     config = program.config
     counts = program.agent.parameter_counts
     seeds = f"seed {config.seed}" if config.seeds == 1 else f"seeds {config.seed}–{config.seed + config.seeds - 1}"
+    critics = f", {CRITICS} critics of {counts['critic']:,}" if counts["critic"] else ""
     return (
         f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · {seeds} · "
-        f"policy of {counts['policy']:,} parameters, {CRITICS} critics of {counts['critic']:,} · "
+        f"policy of {counts['policy']:,} parameters{critics} · "
         f"engine {program.family.engine.name} on {jax.default_backend()} · {directory}"
     )

@@ -12,13 +12,14 @@ import pytest
 from test_learner import bandit_program, begin, one_update, train_on
 
 from ear_jax import losses
-from ear_jax.adapt import Search, adapt
+from ear_jax.adapt import adapt
 from ear_jax.agents import AGENTS, make_agent
 from ear_jax.evaluate import play_training_tasks
 from ear_jax.interpolate import play_blends, trained_ends
 from ear_jax.learner import Learner
 from ear_jax.policy import Gaussian
 from ear_jax.presets import preset_config
+from ear_jax.search import Search
 from ear_jax.tasks import task_set
 from ear_jax.train import Program, TrainState
 from ear_jax.trained import Trained
@@ -28,24 +29,31 @@ CHEETAH = (17, 6, 10)  # observations, actions, tasks
 
 @pytest.fixture(scope="module", params=AGENTS)
 def solved(request: pytest.FixtureRequest) -> Trained:
-    """The bandit after 1,000 updates, which is enough for each agent but the one that has to infer its code first."""
+    """The bandit after 1,000 updates, which is enough for each agent but the one that has to infer its code first.
+
+    An epoch of MAML is one update.
+    """
     program = bandit_program(request.param)
-    state = train_on(program, begin(program), 60 if request.param == "pearl" else 20)
+    state = train_on(program, begin(program), {"pearl": 60, "maml": 60}.get(request.param, 20))
     return Trained(request.param, program, jax.tree.map(lambda leaf: leaf[None], state.learner.policy), 20)
 
 
 def test_each_agent_solves_the_bandit_as_well_as_what_it_sees_allows(solved):
-    """Best is the task's own target; of who cannot tell tasks apart, the mean of them, 0."""
+    """Best is the task's own target; of who cannot tell tasks apart, the mean of them, 0.
+
+    MAML's is as far off as one gradient step on 512 random rewards is.
+    """
     program, policy = solved.program, jax.tree.map(lambda leaf: leaf[0], solved.policies)
     played = play_training_tasks(program, policy, jax.random.key(2), 4)
     best = [[0.0] * 4] * 2 if solved.name == "onehot-blind" else [[-0.5] * 4, [0.5] * 4]
-    np.testing.assert_allclose(played.late["action"], best, atol=0.1)
+    np.testing.assert_allclose(played.late["action"], best, atol=0.25 if solved.name == "maml" else 0.1)
 
 
 def test_search_over_codes_goes_as_far_as_codes_go(solved):
     """0.2 lies between the two trained actions: between two LTEs or one-hots there is a code for it, two heads are all.
 
-    Actions are drawn next to the mean here, so that a search of few episodes is not misled by a lucky one.
+    Actions are drawn next to the mean here, so that a search of few episodes is not misled by a lucky one. MAML is
+    asked for what it is trained for, one gradient step.
     """
     program, agent = solved.program, solved.program.agent
 
@@ -58,10 +66,11 @@ def test_search_over_codes_goes_as_far_as_codes_go(solved):
     best, within = {
         "multihead": (-((0.5 - 0.2) ** 2), 0.07),
         "onehot-blind": (-(0.2**2), 0.05),
+        "maml": (-0.09, 0.09),  # its advantages are standardised, so that it steps about as far as to the nearer task
         "pearl": (-0.045, 0.046),  # two tasks teach it little of others: at least as good as the nearer of them
     }.get(solved.name, (0.0, 0.002))
-    assert found["epochs"][-1]["reevaluated"] == pytest.approx(best, abs=within)
-    assert len(found["lte"]) == agent.code_size
+    assert found["epochs"][0 if agent.tuned else -1]["reevaluated"] == pytest.approx(best, abs=within)
+    assert found["lte"] is None if agent.tuned else len(found["lte"]) == agent.code_size
 
 
 def test_a_blend_of_two_heads_is_one_of_them(solved):
@@ -81,7 +90,7 @@ def test_codes_are_where_projection_leaves_them(name):
     np.testing.assert_allclose(jax.vmap(agent.project)(table), table, atol=1e-6)
     anywhere = jax.random.normal(jax.random.key(1), (20, agent.code_size))
     elsewhere = jax.vmap(agent.project)(anywhere)
-    if name == "pearl":
+    if name in ("pearl", "maml"):
         np.testing.assert_array_equal(elsewhere, anywhere)
         return
     np.testing.assert_allclose(np.linalg.norm(elsewhere, axis=1), name != "onehot-blind", atol=1e-5)
@@ -105,6 +114,7 @@ def test_parameter_counts_are_the_papers(name):
         "onehot-blind": (onehot_policy, onehot_critic),
         "multihead": (heads_policy, heads_critic),
         "pearl": (inferring_policy, inferring_critic),
+        "maml": (18 * 64 + 65 * 64 + 65 * 6 + 6, 0),
     }[name]
     observations, *sizes = CHEETAH
     counts = make_agent(name, observations * config.history, *sizes, config, 0.02).parameter_counts

@@ -9,7 +9,7 @@ import pytest
 from probe import Bandit, Slider
 
 from ear_jax import cem, ltes
-from ear_jax.adapt import Search, adapt
+from ear_jax.adapt import adapt
 from ear_jax.agents import Agent
 from ear_jax.atlas import Atlas, place_for
 from ear_jax.codes import blend, fibonacci_sphere, slerp
@@ -20,6 +20,7 @@ from ear_jax.evaluate import evaluate
 from ear_jax.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.networks import unit
 from ear_jax.policy import Gaussian
+from ear_jax.search import Search
 from ear_jax.tasks import task_set
 from ear_jax.train import Program
 from ear_jax.trained import Trained

@@ -14,7 +14,6 @@ from ear_jax import train
 from ear_jax.agents import make_agent
 from ear_jax.config import Config, NetworkConfig
 from ear_jax.evaluate import play_training_tasks
-from ear_jax.learner import Learner
 from ear_jax.runtime import compiler_options
 from ear_jax.train import Program
 
@@ -27,14 +26,16 @@ def bandit_program(agent: str = "ear", kind: type[Bandit] = Bandit, history: int
         base,
         network=NetworkConfig(32, 1, 1, 1, initialiser="fan_in", history=history, **encoder),
         sac=dataclasses.replace(base.sac, **{"lr": 3e-3 if inferred else 1e-2, "batch_size": 64, "updates": 50, **sac}),
-        collect=dataclasses.replace(base.collect, envs=16, steps=2, pretrain_epochs=4),
+        # MAML has no more than one step to go by in an episode, and needs many of them.
+        collect=dataclasses.replace(base.collect, envs=512 if agent == "maml" else 16, steps=2, pretrain_epochs=4),
+        maml=dataclasses.replace(base.maml, inner_lr=0.01, max_divergence=0.02),
         replay=dataclasses.replace(base.replay, capacity=4000),
     )
     family = kind("native")
     family.history = history
     tasks = family.training_tasks()
     bundle = make_agent(agent, family.observation_size, 1, len(tasks), config.network, config.sac.lte_noise)
-    return Program(config, family, tasks, bundle, Learner(bundle, family, tasks.params, config))
+    return Program(config, family, tasks, bundle, train.make_learner(bundle, family, tasks.params, config))
 
 
 def begin(program: Program) -> train.TrainState:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ear_jax.agents.agent import Agent, standardised
 from ear_jax.agents.ear import ear
 from ear_jax.agents.ear_rnn import ear_rnn
+from ear_jax.agents.maml import maml
 from ear_jax.agents.multihead import multihead
 from ear_jax.agents.onehot import onehot, onehot_blind
 from ear_jax.agents.pearl import pearl
@@ -20,6 +21,7 @@ AGENTS = {
     "onehot-blind": onehot_blind,
     "multihead": multihead,
     "pearl": pearl,
+    "maml": maml,
 }
 
 

@@ -34,6 +34,12 @@ class Agent:
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE, where there is one
     own_temperatures: bool = False  # a temperature for each task, instead of one that all share
     infer: Callable[[Params, Context], Belief] | None = None  # policy parameters, what happened in a task → its code
+    tuned: bool = False  # a code is added to the policy's parameters, and found by gradient steps on a task's episodes
+
+    @property
+    def finds_codes(self) -> bool:
+        """Whether codes come of what happened in a task, so that the newest are kept beside the networks."""
+        return self.tuned or self.infer is not None
 
     @property
     def parameter_counts(self) -> dict[str, int]:
@@ -45,15 +51,15 @@ def standardised(agent: Agent, obs_size: int) -> Agent:
     """An agent whose policy standardises what it sees, with statistics that are among its parameters.
 
     Those become `{"standardiser": …, "networks": …}`. Critics are shown standardised observations by the learner. Where
-    codes are inferred, `"codes"` holds the table of what was believed last.
+    codes come of what happened, `"codes"` holds the table that was found last.
     """
 
     def init_policy(key: jax.Array) -> Params:
         policy = {"standardiser": identity(obs_size), "networks": agent.init_policy(key)}
-        return {**policy, "codes": agent.codes(policy["networks"])} if agent.infer else policy
+        return {**policy, "codes": agent.codes(policy["networks"])} if agent.finds_codes else policy
 
     def codes(policy: Params) -> jax.Array:
-        return policy["codes"] if agent.infer else agent.codes(policy["networks"])
+        return policy["codes"] if agent.finds_codes else agent.codes(policy["networks"])
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
         return agent.distribution(policy["networks"], code, policy["standardiser"](obs))

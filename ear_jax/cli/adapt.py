@@ -12,12 +12,13 @@ from rich.console import Console
 from rich.table import Table
 
 from ear_jax import ltes, records
-from ear_jax.adapt import Search, adapt
+from ear_jax.adapt import adapt
 from ear_jax.cli.arguments import check_finite, parse
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.report.search import draw_search
 from ear_jax.runtime import enable_cache
+from ear_jax.search import Search, episodes_an_epoch
 from ear_jax.tasks import task_set
 from ear_jax.terminal import phase
 from ear_jax.trained import load
@@ -25,7 +26,7 @@ from ear_jax.trained import load
 
 @dataclass(frozen=True)
 class AdaptCommand:
-    """Find codes for tasks the policy was never trained on: search by the cross-entropy method; PEARL infers them."""
+    """Find codes for tasks the policy was never trained on, by the cross-entropy method; PEARL infers, MAML tunes."""
 
     run: tyro.conf.Positional[Path]
     """The run directory, an exported file, or pretrained:NAME."""
@@ -36,7 +37,7 @@ class AdaptCommand:
     save: str | None = None
     """Keep the LTE found for the one target under this name; other commands take it as --lte NAME."""
     epochs: int = 10
-    """Epochs of the search; of PEARL, episodes a code is inferred from."""
+    """Epochs of the search; of PEARL, episodes a code is inferred from; of MAML, gradient steps."""
     elites: int = 6
     """Codes kept from one epoch to the next."""
     samples: int = 14
@@ -75,9 +76,12 @@ def main(words: list[str]) -> None:
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
     if command.zero_shot and any(task.target is None for task in tasks.tasks):
         raise UsageError(f"--zero-shot answers tasks that command a {family.commanded}")
-    what = f"searching {len(tasks)} × {search.epochs} × {search.candidates}"
-    if trained.program.agent.infer:
-        what = f"inferring {len(tasks)} codes from {search.epochs} episodes each"
+    if command.save is not None and trained.program.agent.tuned:
+        raise UsageError(f"--save {command.save}: {trained.program.config.agent} has no LTEs to keep")
+    each = episodes_an_epoch(trained.program, search)
+    what = f"searching {len(tasks)} × {search.epochs} × {each}"
+    if trained.program.agent.finds_codes:
+        what = f"finding {len(tasks)} codes from {search.epochs * each} episodes each"
     with phase("mapping the sphere" if command.zero_shot else what):
         document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
     records.write_json(trained.directory / "adaptation.json", {**document, **records.provenance()})
@@ -122,4 +126,5 @@ def _print(document: dict[str, Any], unit: str) -> None:
             if task["target"] is not None and not task["zero_shot"]:
                 print(f"the map knows no code near {name}")
     for name, task in zip(names, tasks, strict=True):
-        print(f"LTE for {name}: " + " ".join(f"{number:.4f}" for number in task["lte"]))
+        if task["lte"]:
+            print(f"LTE for {name}: " + " ".join(f"{number:.4f}" for number in task["lte"]))
