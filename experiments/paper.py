@@ -111,7 +111,7 @@ TABLES = (
     Experiment(
         "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, ablations=("", "+no-norm"))
     ),
-    Experiment("table-10", "composition", methods((RUN_JUMP,), *COMPOSED)),
+    Experiment("table-10", "composition", methods((RUN_JUMP,), EVALUATION, *COMPOSED)),
     Experiment("table-11", "mid-task interpolation, HalfCheetah-Vel", methods((CHEETAH,), INTERPOLATION)),
     Experiment("table-12", "mid-task interpolation, Hopper-Vel", methods((HOPPER,), INTERPOLATION)),
     Experiment("table-13", "mid-task interpolation, Walker-Vel", methods((WALKER,), INTERPOLATION)),
