@@ -15,6 +15,7 @@ from ear_jax.stopping import Stopped
 from ear_jax.terminal import say
 from experiments.inventory import is_trained, jobs, missing
 from experiments.paper import EXPERIMENTS
+from experiments.reproduce import make_whole, plan
 
 PROGRAM = "python -m experiments"
 
@@ -46,12 +47,10 @@ class ReproduceCommand:
 
 
 def list_all(words: list[str]) -> None:
-    from experiments.reproduce import absent  # imports JAX, which the report has to do without
-
     command = parse(ListCommand, words, "list", program=PROGRAM)
     check_seeds(command.seeds)
     table = Table()
-    for heading in ("", "shows", "runs", "documents", "waits for"):
+    for heading in ("", "shows", "runs", "documents"):
         table.add_column(heading, overflow="fold")
     for experiment in EXPERIMENTS.values():
         wanted = jobs(experiment, command.preset, command.seeds)
@@ -61,28 +60,22 @@ def list_all(words: list[str]) -> None:
             f"{sum(map(is_trained, wanted))}/{len(wanted)}" if wanted else "–",
             f"{made}/{documents}" if documents else "–",
         )
-        lacking = dict.fromkeys(what for job in wanted for what in absent(job))
-        table.add_row(experiment.id, experiment.shows, *counts, ", ".join(lacking))
+        table.add_row(experiment.id, experiment.shows, *counts)
     Console(highlight=False).print(table)
     print(f"`{PROGRAM} reproduce ID` runs what is missing; with --dry-run it tells the commands.")
 
 
 def reproduce(words: list[str]) -> None:
-    from experiments.reproduce import absent, make_whole, plan, possible
-
     command = parse(ReproduceCommand, words, "reproduce", program=PROGRAM)
     check_seeds(command.seeds)
     if command.id not in EXPERIMENTS:
         raise unknown("table or figure", command.id, EXPERIMENTS)
     wanted = jobs(EXPERIMENTS[command.id], command.preset, command.seeds, command.minutes)
-    for job in filter(None, map(possible, wanted)):
+    for job in wanted:
         for line in plan(job):
             (print if command.dry_run else say)(line)
         if not command.dry_run:
             make_whole(job)
-    lacking = dict.fromkeys(what for job in wanted for what in absent(job))
-    if lacking:
-        raise RunError(f"{command.id} cannot be whole without what is not there yet: {', '.join(lacking)}")
     if not command.dry_run:
         say(f"{command.id} is whole: {len(wanted)} runs")
 

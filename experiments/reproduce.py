@@ -8,36 +8,14 @@ import shutil
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from types import FrameType
 
 from ear_jax import records
-from ear_jax.agents import AGENTS
-from ear_jax.cli.main import COMMANDS
-from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError
 from ear_jax.stopping import Stopped
 from experiments.commands import RUNS, analysis_words, export_words, is_recorded, train_words
 from experiments.inventory import Job, is_trained, is_whole, missing
 from experiments.paper import Analysis
-
-
-def absent(job: Job) -> list[str]:
-    """What a job needs that this package does not have."""
-    family, agent = job.config.family, job.config.agent
-    commands = dict.fromkeys(one.command for one in job.analyses if one.command not in COMMANDS)
-    return [
-        *([] if family in FAMILIES else [f"family {family}"]),
-        *([] if agent in AGENTS else [f"agent {agent}"]),
-        *(f"`ear {command}`" for command in commands),
-    ]
-
-
-def possible(job: Job) -> Job | None:
-    """The job without the analyses that this package cannot make; None where it cannot even train."""
-    if job.config.family not in FAMILIES or job.config.agent not in AGENTS:
-        return None
-    return replace(job, analyses=tuple(one for one in job.analyses if one.command in COMMANDS))
 
 
 def plan(job: Job) -> list[str]:
