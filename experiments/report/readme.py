@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.paper import ADAPTATION, CHEETAH, FAMILIES, INTERPOLATION, REACH, Analysis
+from experiments.paper import ADAPTATION, CHEETAH, FAMILIES, INTERPOLATION, REACH, RUN_JUMP, Analysis
 from experiments.report import documents
 from experiments.report.blocks import Table
 from experiments.report.found import Found, Run
@@ -29,7 +29,7 @@ def rewrite(found: Found) -> None:
 
 def results(found: Found) -> str:
     """What stands between the markers: EAR's returns, interpolation and adaptation, and notes on the runs."""
-    families = (*FAMILIES, REACH)
+    families = (*FAMILIES, RUN_JUMP, REACH)
     rows = [row for family in families for row in _family(family, found.runs(family))]
     runs = [run for family in families for run in found.runs(family)]
     parts = [table(Table("", ("what", "command", "here", "the paper"), rows)), *_machines(runs), *map(_note, runs)]
@@ -41,7 +41,7 @@ def _family(family: str, runs: list[Run]) -> list[list[str]]:
         return []
     paper = paper_return(family, "ear")
     reached = f"{spread([mean_return(run) for run in runs])} ({seeds(runs)}; {_spent([run.last for run in runs])})"
-    theirs = "a curve, no number"
+    theirs = "a curve, no number" if family == REACH else MISSING
     if paper:
         steps, updates = map(count, paper_budget(family))
         theirs = f"{printed(paper)} (3 seeds; {steps} env steps, {updates} updates)"
