@@ -97,6 +97,8 @@ class ReplayConfig:
     """Train every task on all tasks' transitions, scored for it."""
     own_share: float = 0.0
     """With shared experience: the part of a batch that still comes from the task's own transitions."""
+    symmetry: bool = False
+    """Turn and mirror transitions at random, where the robot has symmetries (Ant-Dir)."""
 
 
 @dataclass(frozen=True)

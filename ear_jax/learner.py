@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ from ear_jax.agents import Agent
 from ear_jax.belief import Belief, Context, prior, where
 from ear_jax.config import Config
 from ear_jax.envs.family import Family
+from ear_jax.envs.symmetry import Symmetry, own_by_symmetry
 from ear_jax.grid import Cell, Grid, Transition
 from ear_jax.losses import Batch, Noise
 from ear_jax.networks import Params
@@ -57,6 +59,7 @@ class Draws:
     """Everything random about one update, drawn for many at once: one large draw is cheaper than many small ones."""
 
     source: jax.Array  # int32 [n], whose ring an item comes from
+    variant: jax.Array  # int32 [n], how it is turned or mirrored, where the family has symmetries
     place: jax.Array  # [n] in [0, 1), where in that ring
     now: Noise
     next: Noise
@@ -157,7 +160,9 @@ class Learner:
         """The randomness of `updates` updates, each leaf [updates, n, …]."""
         n, tasks, settings = self.config.sac.batch_size, self.task_count, self.config.replay
         keys = jax.random.split(key, 6)
-        source = jnp.broadcast_to(self._batch_tasks(), (updates, n))
+        source, variant = jnp.broadcast_to(self._batch_tasks(), (updates, n)), jnp.zeros((updates, n), jnp.int32)
+        if self._symmetry:
+            source, variant = own_by_symmetry(self._symmetry, self.tasks, jax.random.fold_in(key, 1), source)
         if settings.share_experience:
             anyone = jax.random.randint(keys[0], (updates, n), 0, tasks)
             source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, anyone)
@@ -173,7 +178,7 @@ class Learner:
         key_context, key_belief = jax.random.split(keys[5])
         context = jax.random.uniform(key_context, (updates, tasks, CONTEXT if self.agent.infer else 0))
         belief = jax.random.normal(key_belief, (updates, tasks, self.agent.code_size if self.agent.infer else 0))
-        return Draws(source, place, noise(keys[3]), noise(keys[4]), context, belief)
+        return Draws(source, variant, place, noise(keys[3]), noise(keys[4]), context, belief)
 
     def update(self, state: LearnerState, buffer: Replay, draws: Draws) -> tuple[LearnerState, dict[str, jax.Array]]:
         """One step of critics, policy and temperature, all differentiated where the state stood before it.
@@ -250,9 +255,15 @@ class Learner:
         size = buffer.size[draws.source]
         slot = jnp.minimum((draws.place * size).astype(jnp.int32), size - 1)
         items = replay.gather(buffer, draws.source, slot)
+        if self._symmetry:
+            items = jax.vmap(partial(replay.otherwise, self._symmetry))(draws.variant, items)
         params = jax.tree.map(lambda leaf: leaf[task], self.tasks)
         reward = self.config.sac.reward_scale * jax.vmap(self.family.reward)(items.outcome, params)
         return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)
+
+    @property
+    def _symmetry(self) -> Symmetry | None:
+        return self.family.symmetry if self.config.replay.symmetry else None
 
     def _table(self, policy: Params, buffer: Replay, draws: Draws) -> tuple[jax.Array, jax.Array]:
         """Codes [tasks, code], drawn where they are inferred, and the divergence of all beliefs from the prior."""

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from ear_jax.envs.symmetry import Symmetry
 from ear_jax.grid import Transition
 from ear_jax.networks import Standardiser
 
@@ -72,6 +73,13 @@ def _add_to_ring(replay: Replay, items: Experience, valid: jax.Array) -> Replay:
 def gather(replay: Replay, source: jax.Array, slot: jax.Array) -> Experience:
     """The items in the given slots of the given tasks' rings; `source` and `slot` int32 [n]."""
     return jax.tree.map(lambda ring: ring[source, slot], replay.rings)
+
+
+def otherwise(symmetry: Symmetry, variant: jax.Array, item: Experience) -> Experience:
+    """One item as it would be after a turn or a reflection."""
+    obs, next_obs = symmetry.obs(variant, item.obs), symmetry.obs(variant, item.next_obs)
+    action, outcome = symmetry.action(variant, item.action), symmetry.outcome(variant, item.outcome)
+    return Experience(obs, action, next_obs, outcome, item.terminated)
 
 
 def recent(replay: Replay, place: jax.Array, window: int) -> tuple[Experience, jax.Array]:

@@ -9,8 +9,17 @@ import jax.numpy as jnp
 
 from ear_jax.envs.angle import AngleFamily
 from ear_jax.envs.family import Outcome
+from ear_jax.envs.symmetry import Symmetry, pair, turns_and_flips
 from ear_jax.physics import Motion, Physics
 from ear_jax.tasks import Task, TaskParams
+
+# What stands where after a quarter turn to the left, and after left and right are exchanged (`turns_and_flips`).
+# Legs are numbered as the model does, hip and ankle each; ankles of neighbouring legs bend about opposite axes.
+_LEGS = ((7, 8, 1, -2, 3, 4, 5, -6), (-7, 8, -5, 6, -3, 4, -1, 2))
+_MOTORS = ((7, -8, 1, 2, 3, -4, 5, 6), (-3, 4, -1, 2, -7, 8, -5, 6))  # those of leg 4 come first
+_HEIGHT, _QUATERNION = ((1,), (1,)), ((1, -3, 2, 4), (1, -2, 3, -4))
+_VELOCITY, _SPIN, _PLANE = ((-2, 1, 3), (1, -2, 3)), ((-2, 1, 3), (-1, 2, -3)), ((-2, 1), (1, -2))
+_SEEN = (_HEIGHT, _QUATERNION, _LEGS, _VELOCITY, _SPIN, _LEGS)
 
 
 class AntDir(AngleFamily):
@@ -35,6 +44,12 @@ class AntDir(AngleFamily):
         """Run at `angle` degrees from the x axis; 45 degrees is called dir-45."""
         radians = math.radians(angle)
         return Task(f"dir-{angle:g}", target=float(angle), params={"x": math.cos(radians), "y": math.sin(radians)})
+
+    @property
+    def symmetry(self) -> Symmetry:
+        """The eight of a square: quarter turns, and their mirror images."""
+        seen, motors, plane = (turns_and_flips(parts, 4) for parts in (_SEEN, (_MOTORS,), (_PLANE,)))
+        return Symmetry(8, seen, motors, pair(plane, ("velocity_x", "velocity_y")), pair(plane, ("x", "y")))
 
     def initial(self, key: jax.Array) -> Physics:
         return self.noisy_start(key, 0.1, lambda key, shape: 0.1 * jax.random.normal(key, shape))

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from ear_jax.envs.symmetry import Symmetry
 from ear_jax.errors import UsageError
 from ear_jax.physics import Motion, Physics, make_engine
 from ear_jax.physics.models import load_model
@@ -61,6 +62,11 @@ class Family(Env):
     def load(self) -> mujoco.MjModel:
         """The robot; by default one of Gymnasium's."""
         return load_model(self.model_file)
+
+    @property
+    def symmetry(self) -> Symmetry | None:
+        """How a step may be turned or mirrored; by default in no way."""
+        return None
 
     def portrait(self) -> mujoco.MjModel:
         """What pictures show, of the same qpos; by default the model."""
