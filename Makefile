@@ -18,8 +18,9 @@ setup: .venv/.made
 demo: setup
 	$(BIN)/ear demo
 
+# Most of a test is compiling, on one core: two files at a time, and each file's tests share what one has compiled.
 test: setup
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses 2 --dist loadfile
 
 test-slow: setup
 	$(BIN)/pytest -m slow
