@@ -46,13 +46,9 @@ def turns_and_flips(parts: Sequence[tuple[Moved, Moved]], turns: int) -> Signed:
         changes.
       turns: how many lead round.
     """
-    starts = np.cumsum([0, *(len(turn) for turn, _ in parts)])
-    turn, flip = (
-        np.concatenate(
-            [np.sign(part[way]) * (np.abs(part[way]) + start) for start, part in zip(starts, parts, strict=False)]
-        )
-        for way in (0, 1)
-    )
+    sizes = [len(turn) for turn, _ in parts]
+    before = np.repeat(np.cumsum(sizes) - sizes, sizes)  # of each place, how many the parts before it have
+    turn, flip = (np.sign(way) * (np.abs(way) + before) for way in map(np.concatenate, zip(*parts, strict=True)))
     found = []
     for start in (np.arange(1, len(turn) + 1), flip):
         for _ in range(turns):
@@ -104,6 +100,6 @@ def origins(symmetry: Symmetry, tasks: dict[str, jax.Array]) -> tuple[jax.Array,
     """
     variants = jnp.arange(symmetry.variants)
     turned = jax.vmap(lambda variant: jax.vmap(lambda task: symmetry.task(variant, task))(tasks))(variants)
-    # [variants, from, to]
+    # How far each is from each, [variants, from, to].
     apart = sum(jnp.abs(turned[name][:, :, None] - tasks[name][None, None, :]) for name in tasks)
     return jnp.argmin(apart, axis=1).astype(jnp.int32), jnp.min(apart, axis=1) < 1e-4
