@@ -151,7 +151,7 @@ def test_multihead_has_its_own_depth_and_clip_under_paper():
     assert multihead == dataclasses.replace(fast, agent="multihead")
 
 
-@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize("agent", [one for one in AGENTS if one != "maml"])  # whose steps a trust region bounds
 def test_the_step_size_of_fast_falls_over_all_of_its_updates(agent):
     for family in ("halfcheetah-vel", "ant-dir", "hopper-vel"):
         config = preset_config(family, "fast", agent)
