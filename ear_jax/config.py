@@ -213,6 +213,8 @@ def check(config: Config, tasks: int) -> None:
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{_flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
     if config.agent == "maml":  # which neither replays nor draws batches
+        if config.sac.updates != 1:
+            raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update an epoch")
         if config.collect.steps % 2:
             raise UsageError(
                 f"--collect.steps {config.collect.steps} cannot be halved; maml needs as many before its step"
