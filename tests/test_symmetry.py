@@ -40,11 +40,11 @@ def test_the_ants_step_turned_is_the_step_of_the_turned_ant(ant):
     symmetry, n = ant.symmetry, 64
     task = ant.parse_task("15").params
     keys = jax.random.split(jax.random.key(0), n)
-    cold = jax.vmap(lambda key: ant.start(key, jax.tree.map(jnp.float32, task)))(keys)
+    state = jax.vmap(lambda key: ant.start(key, jax.tree.map(jnp.float32, task)))(keys)
     actions = jax.random.uniform(jax.random.key(1), (30, n, 8), minval=-1)
-    state = cold
+    step_all = jax.jit(jax.vmap(ant.step))
     for action in actions:
-        state = jax.jit(jax.vmap(ant.step))(state, action)
+        state = step_all(state, action)
     physics, action = state.pipeline_state, actions[0]
     # Without a warm start, which belongs to the ant that is not turned.
     place = jnp.concatenate([jnp.zeros((n, 2)), physics.qpos[:, 2:], physics.qvel], axis=1)
