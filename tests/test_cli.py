@@ -172,13 +172,16 @@ SLOWLY = {"ear", "onehot", "onehot-blind", "maml"}
 
 
 @pytest.mark.parametrize("agent", [pytest.param(one, marks=[pytest.mark.slow] * (one in SLOWLY)) for one in AGENTS])
-def test_every_agent_trains(agent, tmp_path, monkeypatch):
+def test_every_agent_trains(agent, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     own = ["--collect.steps", "6", "--sac.updates", "1"] if agent == "maml" else []
     assert main(["train", "halfcheetah-vel", *TINY, *own, "--agent", agent, "--out", "run"]) == 0
     rows = [json.loads(line) for line in Path("run/metrics.jsonl").read_text().splitlines()]
     assert rows[-1]["epoch"] == 2
     assert all(math.isfinite(rows[-1][name]) for name in ("mean_return", "policy_norm"))
+    if agent in ("pearl", "maml"):
+        assert main(["adapt", "run", "--elites", "3"]) == 2
+        assert f"are of a search, and {agent} finds its codes without one" in capsys.readouterr().err
 
 
 def test_train_then_evaluate_prints_one_json_document(tmp_path):

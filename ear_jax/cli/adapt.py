@@ -78,9 +78,13 @@ def main(words: list[str]) -> None:
         raise UsageError(f"--zero-shot answers tasks that command a {family.commanded}")
     if command.save is not None and trained.program.agent.tuned:
         raise UsageError(f"--save {command.save}: {trained.program.config.agent} has no LTEs to keep")
+    finds = trained.program.agent.finds_codes
+    if finds and search != Search(search.epochs):
+        agent = trained.program.config.agent
+        raise UsageError(f"--elites, --samples and --sigma are of a search, and {agent} finds its codes without one")
     each = episodes_an_epoch(trained.program, search)
     what = f"searching {len(tasks)} × {search.epochs} × {each}"
-    if trained.program.agent.finds_codes:
+    if finds:
         what = f"finding {len(tasks)} codes from {search.epochs * each} episodes each"
     with phase("mapping the sphere" if command.zero_shot else what):
         document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
