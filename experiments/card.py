@@ -10,6 +10,7 @@ from ear_jax.trained import Trained
 from experiments.commands import command_line
 
 CURVE_POINTS = 20
+UNKNOWN = "It has not been evaluated: which tasks it meets is not known."
 
 
 def make_card(
@@ -49,7 +50,7 @@ def make_card(
         "mean_return": mean_return,
         "returns_from": source,
         "episodes": episodes,  # a task
-        "limits": limits(tasks, episodes, family.unit),
+        "limits": limits(tasks, episodes, family.unit) if evaluation else UNKNOWN,
         "tasks": tasks,
         "learning_curve": thinned(rows),
         **{key: about[key] for key in ("engine", "machine", "versions", "commit")},
@@ -57,14 +58,13 @@ def make_card(
 
 
 def judge(family: Family, task: dict[str, Any], all_tasks: list[dict[str, Any]]) -> dict[str, Any]:
-    """A task of an evaluation, and whether it is met.
+    """A task of an evaluation, and if it commands something, whether it is met.
 
-    It is where every episode lasts and, if it commands something, what is achieved is nearer to its target than half
-    way to the next task's.
+    It is where every episode lasts and what is achieved is nearer to its target than half way to the next task's.
     """
     kept = {"name": task["name"], "target": task["target"], "return": task["return_mean"], "failures": task["failures"]}
     if task["target"] is None:
-        return {**kept, "met": not task["failures"]}
+        return {**kept, "outcome": task["outcome"]}
     achieved = task["outcome"][family.commanded]
     others = [one["target"] for one in all_tasks if one["target"] not in (None, task["target"])]
     gap = min((abs(family.difference(other, task["target"])) for other in others), default=float("inf"))
@@ -73,17 +73,24 @@ def judge(family: Family, task: dict[str, Any], all_tasks: list[dict[str, Any]])
 
 
 def limits(tasks: list[dict[str, Any]], episodes: int, unit: str) -> str:
-    """Which tasks an agent does not meet, in a sentence; `episodes` a task were played."""
-    if "met" not in tasks[0]:
-        return "It has not been evaluated: which tasks it meets is not known."
-    missed = [task for task in tasks if not task["met"]]
+    """Which tasks an agent does not meet, and what it does where nothing is commanded; `episodes` a task were played."""
+    judged = [task for task in tasks if "met" in task]
+    missed = [task for task in judged if not task["met"]]
     off = ", ".join(f"{task['achieved']:.2f} for {task['name']}" for task in missed if not task["failures"])
-    over = ", ".join(
-        f"{task['name']} ({task['failures']} of {episodes} episodes)" for task in missed if task["failures"]
-    )
-    met = f"Meets {len(tasks) - len(missed)} of {len(tasks)} tasks"
-    parts = [met, *([f"achieves ({unit}) {off}"] if off else []), *([f"ends early in {over}"] if over else [])]
-    return "; ".join(parts) + "."
+    over = ", ".join(f"{task['name']} ({task['failures']} of {episodes} episodes)" for task in tasks if task["failures"])
+    free = ", ".join(f"{task['name']} ({_means(task['outcome'])})" for task in tasks if "met" not in task)
+    parts = [
+        f"meets {len(judged) - len(missed)} of {len(judged)} tasks" if judged else "",
+        f"achieves ({unit}) {off}" if off else "",
+        f"ends early in {over}" if over else "",
+        f"on tasks without a target has {free}" if free else "",
+    ]
+    told = "; ".join(filter(None, parts))
+    return f"{told[0].upper()}{told[1:]}."
+
+
+def _means(outcome: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.2f}" for name, value in outcome.items())
 
 
 def thinned(rows: list[dict[str, Any]]) -> list[dict[str, float]]:

@@ -18,7 +18,7 @@ from ear_jax.cli import demo
 from ear_jax.cli.main import main
 from ear_jax.errors import RunError, UsageError
 from ear_jax.export import read_policy, write_policy
-from ear_jax.interpolate import End
+from ear_jax.interpolate import End, adjacent_pairs, trained_ends
 from ear_jax.trained import load
 from experiments.publish import ALL_BYTES, FILE_BYTES
 
@@ -150,8 +150,8 @@ def test_they_are_listed_with_the_tasks_they_meet(capsys):
     assert main(["pretrained"]) == 0
     listed = capsys.readouterr().out
     for card in cards:
-        met = sum(task["met"] for task in card["tasks"])
-        assert re.search(f"│ {card['name']} +│ ear .*│ +{met} of {len(card['tasks'])} │", listed)
+        met = [task["met"] for task in card["tasks"] if task["target"] is not None]
+        assert re.search(f"│ {card['name']} +│ ear .*│ +{sum(met)} of {len(met)} │", listed)
 
 
 def test_the_demo_plays_a_blend_between_its_ends(tmp_path, monkeypatch, capsys):
@@ -176,6 +176,15 @@ def test_without_a_name_the_demo_takes_the_cheetah_or_the_first(monkeypatch):
     ):
         monkeypatch.setattr(pretrained, "names", lambda names=names: names)
         assert demo.default_agent() == expected
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_demo_finds_two_neighbours_to_blend_for_every_agent(name):
+    trained = load(Path(f"pretrained:{name}"))
+    pairs = adjacent_pairs(trained_ends(trained), trained.program.family)
+    card = pretrained.card(name)
+    met = {task["name"] for task in card["tasks"] if task.get("met")}
+    assert {end.name for end in demo.best_pair(pairs, card)} <= met
 
 
 def test_the_demo_takes_neighbours_that_are_met():

@@ -132,16 +132,25 @@ def test_a_task_is_met_within_half_way_to_the_next_one():
     assert not met("hopper-vel", 2.0, 2.0, failures=1)
     assert met("ant-dir", 0.0, 359.5)
     assert not met("ant-dir", 0.0, 358.5)
-    assert met("hopper-vel", None, 9.0)
-    assert not met("hopper-vel", None, 9.0, failures=1)
+
+
+def test_a_task_without_a_target_is_not_judged():
+    task = {"name": "jump", "target": None, "return_mean": 1.0, "failures": 0, "outcome": {"height": 1.5}}
+    judged = judge(make_family("hopper-vel"), task, [task])
+    assert judged == {"name": "jump", "target": None, "return": 1.0, "failures": 0, "outcome": {"height": 1.5}}
 
 
 def test_limits_are_told_in_a_sentence():
-    met, off = {"name": "a", "met": True}, {"name": "b", "met": False, "failures": 0, "achieved": 0.123}
+    met = {"name": "a", "met": True, "failures": 0}
+    off = {"name": "b", "met": False, "failures": 0, "achieved": 0.123}
     over = {"name": "c", "met": False, "failures": 2}
     assert limits([met, met], 5, "m/s") == "Meets 2 of 2 tasks."
     told = "Meets 1 of 3 tasks; achieves (m/s) 0.12 for b; ends early in c (2 of 5 episodes)."
     assert limits([met, off, over], 5, "m/s") == told
+    free = {"name": "d", "failures": 1, "outcome": {"height": 1.5, "velocity": 0.0}}
+    told = "ends early in d (1 of 5 episodes); on tasks without a target has d (height 1.50, velocity 0.00)."
+    assert limits([met, free], 5, "m/s") == f"Meets 1 of 1 tasks; {told}"
+    assert limits([free], 5, "m/s") == f"E{told[1:]}"
 
 
 def test_a_command_names_what_differs_from_the_preset():

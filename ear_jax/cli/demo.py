@@ -125,7 +125,7 @@ def show(trained: Trained, card: dict[str, Any]) -> dict[str, Any]:
     return {
         "run": trained.name,
         "between": found["between"],
-        "commanded": {"outcome": family.commanded, "unit": family.unit},
+        "commanded": family.quantity,
         "episodes": EPISODES,
         "rows": [
             {"name": name, "beta": beta, "commanded": wanted, "achieved": float(value)}

@@ -31,9 +31,10 @@ def main(words: list[str]) -> None:
         table.add_column(heading, justify="right" if heading in ("return", "tasks met") else "left", overflow="fold")
     for card in cards:
         trained = f"{card['minutes']:.0f} min, {card['updates']:,} updates"
-        met = f"{sum(task.get('met', False) for task in card['tasks'])} of {len(card['tasks'])}"
+        judged = [task["met"] for task in card["tasks"] if "met" in task]
+        met = f"{sum(judged)} of {len(judged)}" if judged else "–"
         table.add_row(card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", met)
     Console(highlight=False).print(table)
-    print("A task is met where every episode lasts and what it achieves is less than half way to the next task off;")
-    print("--json tells which are not, and all else of the cards.")
+    print("A task is met where every episode lasts and what it achieves is less than half way to the next task off.")
+    print("One that commands no target is not counted. --json tells of each task, and all else of the cards.")
     print("`ear demo --pretrained NAME` shows one at work; pretrained:NAME stands wherever a command takes a run.")
