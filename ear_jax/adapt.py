@@ -15,7 +15,7 @@ from ear_jax.runtime import compiler_options
 from ear_jax.search import Progress, Search, episodes_an_epoch, find_codes, judge
 from ear_jax.tasks import Task, TaskSet
 from ear_jax.train import evaluation_keys
-from ear_jax.trained import Trained
+from ear_jax.trained import Trained, for_each_seed
 
 
 def adapt(
@@ -36,12 +36,11 @@ def adapt(
       What `ear adapt --json` prints.
 
     Raises:
-      UsageError: only the map, and a target that no surveyed code comes near or an agent without LTEs.
+      UsageError: only the map, and a target that no surveyed code comes near or an agent without a sphere of LTEs.
     """
     began = time.perf_counter()
     program, config = trained.program, trained.program.config
-    on_sphere = program.agent.embed is not None and config.network.normalise_lte
-    mapped = search is None or on_sphere
+    mapped = search is None or (program.agent.embed is not None and program.agent.on_sphere)
     commanding = [(task, task.target) for task in tasks.tasks if task.target is not None and mapped]
     atlases = atlas.survey(trained, places, 1, seed) if commanding else []
     if search is None:
@@ -76,12 +75,11 @@ def _search_all(
 ) -> dict[tuple[int, str], dict[str, Any]]:
     """Every seed's search for every task in one call, by seed and task."""
     program, count = trained.program, trained.program.config.seeds
-    keys = jax.random.split(jax.random.key(seed), count)
 
     def of_seed(policy: Params, key: jax.Array) -> Progress:
         return find_codes(program, policy, tasks.params, key, search, episodes)
 
-    progress = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))
+    progress = for_each_seed(trained, of_seed, seed)
 
     def describe(index: int, row: int) -> dict[str, Any]:
         curves = {name: getattr(progress, name)[index, :, row] for name in ("best_of_epoch", "reevaluated", "achieved")}

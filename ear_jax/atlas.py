@@ -11,11 +11,11 @@ import numpy as np
 
 from ear_jax.codes import spread
 from ear_jax.envs import Family
+from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
-from ear_jax.evaluate import play_codes
+from ear_jax.evaluate import achieved, play_codes
 from ear_jax.networks import Params
-from ear_jax.runtime import compiler_options
-from ear_jax.trained import Trained
+from ear_jax.trained import Trained, for_each_seed
 
 PLACES = 500  # codes played when only an answer is wanted
 FINE = 20_000  # codes the answer is chosen from, 0.025 radians apart
@@ -42,22 +42,20 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[Atla
       seed: of the starts.
 
     Raises:
-      UsageError: an agent without LTEs.
+      UsageError: an agent without LTEs, or whose LTEs do not lie on a sphere.
     """
     program = trained.program
-    if program.agent.embed is None:
-        raise UsageError(f"agent {program.config.agent} has no LTEs, and so no sphere to map")
+    if program.agent.embed is None or not program.agent.on_sphere:
+        raise UsageError(f"agent {program.config.agent} of preset {program.config.preset} has no sphere of LTEs to map")
     codes = spread(places, program.agent.code_size)
 
-    def of_seed(policy: Params, key: jax.Array) -> Any:
-        return play_codes(program, policy, jnp.asarray(codes), key, episodes)
+    def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, Outcome]:
+        played = play_codes(program, policy, jnp.asarray(codes), key, episodes)
+        return achieved(program.family, played), jax.tree.map(lambda leaf: leaf.mean(axis=-1), played.late)
 
-    keys = jax.random.split(jax.random.key(seed), program.config.seeds)
-    played = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))
-    late, whole = ({name: value.mean(-1) for name, value in means.items()} for means in (played.late, played.whole))
-    achieved = np.asarray(program.family.achieved(late, whole))
+    reached, late = for_each_seed(trained, of_seed, seed)
     return [
-        Atlas(codes, achieved[index], {name: value[index] for name, value in late.items()})
+        Atlas(codes, reached[index], {name: value[index] for name, value in late.items()})
         for index in range(program.config.seeds)
     ]
 

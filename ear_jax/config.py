@@ -10,6 +10,8 @@ import tyro
 
 from ear_jax.errors import UsageError, unknown
 
+MAX_SEED = 2**31  # int32, as JAX counts
+
 
 @dataclass(frozen=True)
 class NetworkConfig:
@@ -209,6 +211,8 @@ def check(config: Config, tasks: int) -> None:
         value = _setting(config, name)
         if not low < value <= high:
             raise UsageError(f"{_flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
+    if config.seed + config.seeds > MAX_SEED:
+        raise UsageError(f"--seed {config.seed} is too large; the last seed must be below {MAX_SEED}")
     for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{_flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")

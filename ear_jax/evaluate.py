@@ -17,7 +17,7 @@ from ear_jax.rollout import act_with, rollout
 from ear_jax.runtime import compiler_options
 from ear_jax.tasks import TaskParams
 from ear_jax.train import Program, evaluation_keys
-from ear_jax.trained import Trained
+from ear_jax.trained import Trained, for_each_seed
 
 
 @struct.dataclass
@@ -74,6 +74,12 @@ def play(
 
     returns = jnp.sum(jnp.where(playing, reward, 0.0), axis=0)
     return Episodes(returns, lengths, mean_over(late), mean_over(playing))
+
+
+def achieved(family: Family, played: Episodes) -> jax.Array:
+    """The commanded quantity [rows], from the mean outcomes of each row's episodes, so that 359° and 1° are 0°."""
+    late, whole = (jax.tree.map(lambda leaf: leaf.mean(axis=-1), means) for means in (played.late, played.whole))
+    return family.achieved(late, whole)
 
 
 def play_codes(program: Program, policy: Params, codes: jax.Array, key: jax.Array, episodes: int) -> Episodes:
@@ -144,16 +150,11 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
     """
     program, family = trained.program, trained.program.family
 
-    def of_seed(policy: Params, code: jax.Array, key: jax.Array) -> Episodes:
-        return play_codes(program, policy, program.agent.project(code)[None], key, episodes)
+    def of_seed(policy: Params, key: jax.Array, code: jax.Array) -> tuple[Episodes, jax.Array]:
+        played = play_codes(program, policy, program.agent.project(code)[None], key, episodes)
+        return played, achieved(family, played)
 
-    keys = jax.random.split(jax.random.key(seed), program.config.seeds)
-    play_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
-    played = jax.device_get(play_all(trained.policies, codes, keys))
-    late, whole = (
-        {name: value[:, 0].mean(-1) for name, value in means.items()} for means in (played.late, played.whole)
-    )
-    achieved = np.asarray(family.achieved(late, whole))
+    played, reached = for_each_seed(trained, of_seed, seed, codes)
     return {
         "run": trained.name,
         "episodes": episodes,
@@ -164,8 +165,8 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
                 "lte": codes[index].tolist(),
                 "length": float(played.lengths[index].mean()),
                 "outcome": {
-                    **{name: float(value[index]) for name, value in late.items()},
-                    family.commanded: float(achieved[index]),
+                    **{name: float(value[index].mean()) for name, value in played.late.items()},
+                    family.commanded: float(reached[index, 0]),
                 },
             }
             for index in range(program.config.seeds)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -11,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ear_jax.agents import Agent
 from ear_jax.codes import blend, slerp
 from ear_jax.envs import Family
 from ear_jax.errors import UsageError
-from ear_jax.evaluate import Episodes, play_codes
+from ear_jax.evaluate import achieved, play_codes
 from ear_jax.networks import Params
-from ear_jax.runtime import compiler_options
-from ear_jax.trained import Trained
+from ear_jax.trained import Trained, for_each_seed
 
 BETAS = tuple(round(0.01 * step, 2) for step in range(1, 100))
 MID_TASK_RANGE = (0.1, 0.9)  # where the paper looks for a suitable β
@@ -52,6 +53,23 @@ def adjacent_pairs(ends: Sequence[End], family: Family) -> list[Pair]:
     return pairs
 
 
+def between(agent: Agent, along: str) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
+    """The way from one code to another, as a function of both and of β.
+
+    Args:
+      agent: whose codes.
+      along: `chord`, the paper's normalised sum, or `arc`, the great circle.
+
+    Raises:
+      UsageError: the arc, and codes that do not lie on a sphere.
+    """
+    if along == "chord":
+        return partial(blend, project=agent.project)
+    if not agent.on_sphere:
+        raise UsageError("--along arc needs codes on a sphere, and this run's are not; --along chord is the other way")
+    return slerp
+
+
 def play_blends(
     trained: Trained, pairs: Sequence[Pair], betas: Sequence[float], episodes: int, seed: int, along: str = "chord"
 ) -> np.ndarray:
@@ -63,24 +81,24 @@ def play_blends(
       betas: β of equation 1; outside [0, 1] it extrapolates.
       episodes: how many a blend.
       seed: of the starts.
-      along: `chord`, the paper's normalised sum, or `arc`, the great circle.
+      along: as `between`'s.
+
+    Raises:
+      UsageError: no pairs, or no such way between their codes.
     """
+    if not pairs:
+        raise UsageError(f"{trained.name} has no two tasks that command a {trained.program.family.commanded}")
     program, agent = trained.program, trained.program.agent
     firsts, seconds = (jnp.stack([end.codes for end in ends], axis=1) for ends in zip(*pairs, strict=True))
 
-    def between(one: jax.Array, other: jax.Array, beta: jax.Array) -> jax.Array:
-        return slerp(one, other, beta) if along == "arc" else blend(one, other, beta, agent.project)
+    over_betas = jax.vmap(between(agent, along), in_axes=(None, None, 0))
 
-    def of_seed(policy: Params, first: jax.Array, second: jax.Array, key: jax.Array) -> Episodes:
-        over_betas = jax.vmap(between, in_axes=(None, None, 0))
+    def of_seed(policy: Params, key: jax.Array, first: jax.Array, second: jax.Array) -> jax.Array:
         codes = jax.vmap(over_betas, in_axes=(0, 0, None))(first, second, jnp.array(betas))
-        return play_codes(program, policy, codes.reshape(-1, agent.code_size), key, episodes)
+        played = play_codes(program, policy, codes.reshape(-1, agent.code_size), key, episodes)
+        return achieved(program.family, played)
 
-    keys = jax.random.split(jax.random.key(seed), program.config.seeds)
-    play_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
-    played = jax.device_get(play_all(trained.policies, firsts, seconds, keys))
-    late, whole = ({name: value.mean(-1) for name, value in means.items()} for means in (played.late, played.whole))
-    return np.asarray(program.family.achieved(late, whole)).reshape(-1, len(pairs), len(betas))
+    return for_each_seed(trained, of_seed, seed, firsts, seconds).reshape(-1, len(pairs), len(betas))
 
 
 def interpolate(
@@ -98,15 +116,15 @@ def interpolate(
       What `ear interpolate --json` prints.
 
     Raises:
-      UsageError: a target that lies outside what the blends achieve.
+      UsageError: as `play_blends`, or a target that lies outside what the blends achieve.
     """
-    achieved = play_blends(trained, pairs, BETAS, episodes, seed, along)
+    reached = play_blends(trained, pairs, BETAS, episodes, seed, along)
     family = trained.program.family
     if target is not None:
-        _check_reach(family, pairs[0], achieved, target)
+        _check_reach(family, pairs[0], reached, target)
     found = [
         {"seed": trained.program.config.seed + index, **_judge(family, one, other, row, target)}
-        for index, rows in enumerate(achieved)
+        for index, rows in enumerate(reached)
         for (one, other), row in zip(pairs, rows, strict=True)
     ]
 
@@ -117,31 +135,31 @@ def interpolate(
     return {"pairs": found, **counts, "betas": BETAS, "commanded": family.quantity}
 
 
-def _check_reach(family: Family, pair: Pair, achieved: np.ndarray, target: float) -> None:
+def _check_reach(family: Family, pair: Pair, reached: np.ndarray, target: float) -> None:
     """Refuses a target further from every blend than its ends are from one another."""
     gap = abs(family.difference(pair[0].target, pair[1].target))
-    if np.abs(family.difference(achieved, target)).min() > gap:
-        reached = f"{achieved.min():.2f} to {achieved.max():.2f} {family.unit}"
-        raise UsageError(f"no blend of {pair[0].name} and {pair[1].name} comes near {target:g}; they reach {reached}")
+    if np.abs(family.difference(reached, target)).min() > gap:
+        span = f"{reached.min():.2f} to {reached.max():.2f} {family.unit}"
+        raise UsageError(f"no blend of {pair[0].name} and {pair[1].name} comes near {target:g}; they reach {span}")
 
 
-def _judge(family: Family, one: End, other: End, achieved: np.ndarray, target: float | None) -> dict[str, Any]:
-    """One pair's blends [betas]: `achieved` at β of `BETAS`."""
+def _judge(family: Family, one: End, other: End, reached: np.ndarray, target: float | None) -> dict[str, Any]:
+    """One pair's blends [betas]: `reached` at β of `BETAS`."""
     betas = np.array(BETAS)
     gap = family.difference(other.target, one.target)
     middle = one.target + gap / 2
     wanted = middle if target is None else target
-    best = int(np.argmin(np.abs(family.difference(achieved, wanted))))
+    best = int(np.argmin(np.abs(family.difference(reached, wanted))))
     inside = (betas > MID_TASK_RANGE[0]) & (betas < MID_TASK_RANGE[1])
-    halfway = achieved[BETAS.index(0.5)]
+    halfway = reached[BETAS.index(0.5)]
     share = family.difference(halfway, one.target) / gap  # 0 at one task, 1 at the other
     return {
         "between": [one.name, other.name],
         "target": wanted,
         "beta": BETAS[best],
-        "outcome": float(achieved[best]),
-        "mid_task": bool((np.abs(family.difference(achieved, middle))[inside] <= REACHED * abs(gap)).any()),
+        "outcome": float(reached[best]),
+        "mid_task": bool((np.abs(family.difference(reached, middle))[inside] <= REACHED * abs(gap)).any()),
         "one_to_one": bool(0 < share < 1),
         "one_to_one_outcome": float(halfway),
-        "curve": [round(float(value), 4) for value in achieved],
+        "curve": [round(float(value), 4) for value in reached],
     }

@@ -11,7 +11,7 @@ from flax import struct
 
 from ear_jax import cem
 from ear_jax.belief import Context
-from ear_jax.evaluate import play
+from ear_jax.evaluate import achieved, play
 from ear_jax.grid import Grid, Transition
 from ear_jax.maml import MetaLearner
 from ear_jax.networks import Params
@@ -50,8 +50,7 @@ def judge(
 ) -> tuple[jax.Array, jax.Array]:
     """Mean return and commanded quantity of codes [rows, code] on fresh episodes of their tasks, each [rows]."""
     played = play(program.family, program.agent, policy, codes, tasks, key, episodes)
-    late, whole = (jax.tree.map(lambda leaf: leaf.mean(axis=-1), means) for means in (played.late, played.whole))
-    return played.returns.mean(axis=-1), program.family.achieved(late, whole)
+    return played.returns.mean(axis=-1), achieved(program.family, played)
 
 
 def find_codes(
@@ -99,8 +98,8 @@ def search_codes(
         returns = played.returns.reshape(count, search.candidates)
         state = jax.vmap(cem.tell)(state, candidates, returns)
         best = state.elites[:, 0]
-        again, achieved = judge(program, policy, best, tasks, key_again, episodes)
-        return state, Progress(returns.max(axis=1), again, achieved, best)
+        again, reached = judge(program, policy, best, tasks, key_again, episodes)
+        return state, Progress(returns.max(axis=1), again, reached, best)
 
     state = jax.vmap(begin)(jax.random.split(key_init, count))
     return jax.lax.scan(epoch, state, jax.random.split(key_epochs, search.epochs))[1]
@@ -145,8 +144,8 @@ def infer_codes(
         new = Context(obs, action, scale * reward, playing)
         known = jax.tree.map(lambda all, one: jax.lax.dynamic_update_slice_in_dim(all, one, index, 1), known, new)
         mean = infer(policy, known).mean
-        again, achieved = judge(program, policy, mean, tasks, key_again, episodes)
-        return known, Progress(jnp.sum(jnp.where(playing, reward, 0.0), axis=1), again, achieved, mean)
+        again, reached = judge(program, policy, mean, tasks, key_again, episodes)
+        return known, Progress(jnp.sum(jnp.where(playing, reward, 0.0), axis=1), again, reached, mean)
 
     size = (count, trials * steps)
     obs, action = jnp.zeros((*size, family.observation_size)), jnp.zeros((*size, family.action_size))
@@ -176,8 +175,8 @@ def tune_codes(
         key_play, key_again = jax.random.split(key)
         trials, returns, _ = learner.play(policy, codes, tasks, key_play)
         codes = learner.tune(policy, codes, trials)
-        again, achieved = judge(program, policy, codes, tasks, key_again, episodes)
-        return codes, Progress(returns.mean(axis=1), again, achieved, codes)
+        again, reached = judge(program, policy, codes, tasks, key_again, episodes)
+        return codes, Progress(returns.mean(axis=1), again, reached, codes)
 
     origin = jnp.zeros((len(jax.tree.leaves(tasks)[0]), program.agent.code_size))
     return jax.lax.scan(step, origin, jax.random.split(key, steps))[1]

@@ -13,8 +13,7 @@ from ear_jax.errors import UsageError
 from ear_jax.grid import Grid, Transition
 from ear_jax.networks import Params
 from ear_jax.rollout import act_with, rollout
-from ear_jax.runtime import compiler_options
-from ear_jax.trained import Trained
+from ear_jax.trained import Trained, for_each_seed
 
 SETTLED = 50  # steps left out at the start, in which the robot gets going
 
@@ -58,8 +57,7 @@ def sense(trained: Trained, task: str, seed: int) -> list[dict[str, Signal]]:
         newest = obs[:, -(program.family.observation_size // program.family.history) :]
         return newest, jax.vmap(lambda one: embed(policy, one))(obs), over
 
-    keys = jax.random.split(jax.random.key(seed), program.config.seeds)
-    seen = jax.device_get(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(trained.policies, keys))
+    seen = for_each_seed(trained, of_seed, seed)
     lengths = [int(np.argmax(over)) + 1 if over.any() else steps for over in seen[2]]
     if min(lengths) < 2 * SETTLED:
         raise UsageError(f"{task} lasts {min(lengths)} of {steps} steps, too few for a gait; name another with --task")

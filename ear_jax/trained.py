@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from ear_jax.errors import RunError, UsageError
 from ear_jax.export import SUFFIX, read_policy
 from ear_jax.leaves import first_difference, layout, named, rebuilt
 from ear_jax.networks import Params
+from ear_jax.runtime import compiler_options
 from ear_jax.terminal import say
 from ear_jax.train import Program, TrainState
 
@@ -32,6 +34,23 @@ class Trained:
     directory: Path = Path()  # where what is found out about it is kept
     collected: int = 0  # epochs of collection
     about: dict[str, Any] = field(default_factory=dict)  # written with it: configuration, tasks, versions, machine
+
+
+def for_each_seed(trained: Trained, of_seed: Callable[..., Any], seed: int, *arguments: Any) -> Any:
+    """What a function says of every seed's policy, in one compiled call, brought to the host.
+
+    Args:
+      trained: the policies.
+      of_seed: (policy, key, …) → a pytree.
+      seed: of the keys, one a policy.
+      *arguments: what else it takes, each leaf [seeds, …].
+
+    Returns:
+      The pytree, each leaf [seeds, …].
+    """
+    keys = jax.random.split(jax.random.key(seed), trained.program.config.seeds)
+    of_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
+    return jax.device_get(of_all(trained.policies, keys, *arguments))
 
 
 def load(path: Path, family: str | None = None, engine: str | None = None) -> Trained:

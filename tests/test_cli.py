@@ -71,6 +71,11 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("train halfcheetah-vel --sac.lr -1", "must be above 0"),
         ("train halfcheetah-vel --sac.pessimism 2", "it must be from 0 to 1"),
         ("train halfcheetah-vel --seeds 0", "--seeds 0 is too small; it must be at least 1"),
+        (
+            "train halfcheetah-vel --seed 3000000000",
+            "the last seed must be below 2147483648",
+        ),
+        ("adapt full --seed -1", "--seed -1 is out of range; it must be from 0 to 2147483647"),
         ("train halfcheetah-vel --collect.envs -3", "must be at least 1"),
         ("train halfcheetah-vel --sac.batch-size 481", "try 480 or 490"),
         ("train halfcheetah-vel --agent eer", "did you mean 'ear'"),
@@ -109,6 +114,15 @@ def test_too_large_a_replay_is_refused_with_the_sizes(tmp_path, monkeypatch, cap
     assert main(["train", "halfcheetah-vel", "--replay.capacity", "100000000000"]) == 1
     assert re.fullmatch(r"ear: this run needs [\d.]+ GB .* [\d.]+ GB are free; lower .*\n", capsys.readouterr().err)
     assert not Path("runs").exists()
+
+
+def test_what_the_disk_refuses_is_one_line_and_exit_code_1(monkeypatch, capsys):
+    def refuse(words):
+        raise PermissionError(13, "Permission denied", "figures/map.png")
+
+    monkeypatch.setattr("ear_jax.cli.doctor.main", refuse)
+    assert main(["doctor"]) == 1
+    assert capsys.readouterr().err == "ear: figures/map.png: Permission denied\n"
 
 
 def test_a_directory_that_cannot_be_made_is_exit_code_1(capsys):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,7 @@ from probe import Bandit, Slider
 
 from ear_jax import cem, ltes
 from ear_jax.adapt import adapt
-from ear_jax.agents import Agent
+from ear_jax.agents import Agent, make_agent
 from ear_jax.atlas import Atlas, place_for
 from ear_jax.codes import blend, fibonacci_sphere, slerp
 from ear_jax.config import Config
@@ -20,6 +22,7 @@ from ear_jax.evaluate import evaluate
 from ear_jax.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.networks import unit
 from ear_jax.policy import Gaussian
+from ear_jax.presets import preset_config
 from ear_jax.search import Search
 from ear_jax.tasks import task_set
 from ear_jax.train import Program
@@ -36,7 +39,7 @@ def obedient(codes: jax.Array) -> Agent:
     def nothing(*_):
         return None
 
-    return Agent(3, nothing, nothing, lambda policy: codes, unit, 0.0, distribution, nothing, embed=nothing)
+    return Agent(3, nothing, nothing, lambda policy: codes, unit, 0.0, distribution, nothing, True, embed=nothing)
 
 
 @pytest.fixture(scope="module")
@@ -166,6 +169,40 @@ def test_a_map_of_the_sphere_answers_without_search(toy, target):
 def test_a_map_refuses_what_no_code_reaches(toy):
     with pytest.raises(UsageError, match=r"no code of this run comes near 5 1; they reach -1.00 to 1.00"):
         adapt(toy, task_set([toy.program.family.parse_task("5")]), None, episodes=1, seed=0)
+
+
+def test_without_a_sphere_there_is_neither_an_arc_nor_a_map(toy):
+    free = dataclasses.replace(toy.program, agent=dataclasses.replace(toy.program.agent, on_sphere=False))
+    trained = dataclasses.replace(toy, program=free)
+    pair = tuple(trained_ends(trained))
+    assert play_blends(trained, [pair], (0.5,), 1, 0).shape == (1, 1, 1)
+    with pytest.raises(UsageError, match="--along arc needs codes on a sphere"):
+        play_blends(trained, [pair], (0.5,), 1, 0, along="arc")
+    tasks = task_set([free.family.parse_task("0.3")])
+    with pytest.raises(UsageError, match="has no sphere of LTEs to map"):
+        adapt(trained, tasks, None, episodes=1, seed=0)
+    (task,) = adapt(trained, tasks, Search(epochs=1), episodes=1, seed=0)["tasks"]
+    assert task["zero_shot"] is None
+
+
+def test_codes_lie_on_a_sphere_where_they_are_unit_vectors_and_stay_so():
+    for name, preset, wanted in (
+        ("ear", "fast", True),
+        ("ear", "fast+no-norm", False),
+        ("ear-rnn", "fast", True),
+        ("onehot", "fast", True),
+        ("onehot-blind", "fast", False),
+        ("multihead", "fast", False),
+        ("pearl", "fast", False),
+        ("maml", "fast", False),
+    ):
+        network = preset_config("halfcheetah-vel", preset, name).network
+        assert make_agent(name, 18 * network.history, 6, 10, network, 0.0).on_sphere is wanted
+
+
+def test_without_two_tasks_that_command_something_there_is_nothing_to_blend(toy):
+    with pytest.raises(UsageError, match="toy has no two tasks that command a"):
+        play_blends(toy, [], (0.5,), 1, 0)
 
 
 def test_a_search_answers_what_the_map_does_not_reach(toy):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from ear_jax.report import blends, search
+from ear_jax.report import blends, figures, search
 
 QUANTITY = {"outcome": "velocity", "unit": "m/s"}
 
@@ -51,6 +51,14 @@ def test_betas_asked_for_are_a_line_a_pair_in_their_order(tmp_path, drawn):
     (picture,) = blends.draw_blends(tmp_path, {"blends": rows, "commanded": QUANTITY})
     assert picture.name == "interpolation_seed0.png"
     assert drawn == [([-0.2, 1.8], [-2, 18])] * 2
+
+
+def test_a_run_without_commands_has_no_figure_of_them(tmp_path):
+    task = {"target": None, "episodes": {"velocity": [1.0]}}
+    evaluation = {"commanded": QUANTITY, "seeds": [{"seed": 0, "tasks": [task]}]}
+    assert figures.draw_run(tmp_path, [], evaluation) == []
+    evaluation["seeds"][0]["tasks"].append({**task, "target": 1.0})
+    assert [picture.name for picture in figures.draw_run(tmp_path, [], evaluation)] == ["commanded_achieved.png"]
 
 
 def test_a_search_shows_both_judgements_and_the_answer_of_the_map(tmp_path, drawn):

@@ -39,7 +39,6 @@ def test_the_documents_family_is_what_it_says(family_file):
     family = make_family(f"{family_file}:BalanceAt", "native")
     assert (family.name, family.observation_size, family.action_size) == ("balance-at", 4, 1)
     assert family.training_tasks().targets == [-0.6, -0.3, 0.0, 0.3, 0.6]
-    assert family.interpolation_tasks().targets == [-0.45, -0.15, 0.15, 0.45]
     assert family.parse_task("at-0.25").params == {"position": 0.25}
     with pytest.raises(UsageError, match="name a place in metres"):
         family.parse_task("left")
@@ -95,6 +94,8 @@ def test_an_installed_package_offers_families_by_entry_point(monkeypatch, capsys
 def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
     point = EntryPoint("broken", "nosuchpackage:Mine", "ear_jax.families")
     monkeypatch.setattr("ear_jax.envs.registry.entry_points", lambda group: [point])
+    assert main(["families"]) == 0
+    assert "broken is not to be had here: family 'broken' cannot be loaded" in capsys.readouterr().out
     assert main(["families", "broken"]) == 2
     line = "ear: family 'broken' cannot be loaded from nosuchpackage:Mine: ModuleNotFoundError: No module named"
     assert capsys.readouterr().err.startswith(line)
@@ -196,7 +197,7 @@ BROKEN = [
         r"training_tasks\(\): a task needs .* finite",
     ),
     ({"adaptation_tasks": never}, r"adaptation_tasks\(\) fails: ValueError: never"),
-    ({"interpolation_tasks": tasks_of({"speed": 1.0})}, r"interpolation_tasks\(\): tasks '-0\.5' and 'task-0' have"),
+    ({"adaptation_tasks": tasks_of({"speed": 1.0})}, r"adaptation_tasks\(\): tasks '-0\.5' and 'task-0' have"),
     ({"initial": lambda self, key: jnp.zeros(1)}, r"initial\(\) must return a Physics, and returns .* ArrayImpl"),
     ({"initial": start_of(qvel=jnp.zeros(2))}, r"initial\(\)\.qvel must be of shape \(1,\), and has shape \(2,\)"),
     ({"initial": start_of(qpos=jnp.zeros(1, int))}, r"initial\(\)\.qpos must be float32, and is int32"),

@@ -59,17 +59,6 @@ def test_adaptation_tasks_are_drawn_from_the_seed(name, count, low, high):
         np.testing.assert_array_equal(draws, draws.astype(int))
 
 
-def test_interpolation_tasks_lie_midway():
-    targets = {name: family(name).interpolation_tasks().targets for name in FAMILIES}
-    assert targets["halfcheetah-vel"] == [speed + 0.5 for speed in range(1, 10)]
-    for name in ("hopper-vel", "walker-vel"):
-        assert targets[name] == pytest.approx(np.arange(0.3, 2, 0.2))
-    assert targets["ant-dir"] == [15 * step + 7.5 for step in range(24)]
-    assert targets["ant-dir"][-1] == 352.5
-    assert targets["halfcheetah-run-jump"] == []
-    assert targets["reach"] == [36 * step + 18 for step in range(10)]
-
-
 @pytest.mark.parametrize(
     ("name", "words", "task"),
     [

@@ -31,6 +31,7 @@ class Agent:
     distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
     value: Callable[[Params, jax.Array, jax.Array, jax.Array], jax.Array]  # one critic's parameters, obs, action, task,
     # which is told by its one-hot, or by its code where that is inferred
+    on_sphere: bool = False  # codes are unit vectors
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE, where there is one
     own_temperatures: bool = False  # a temperature for each task, instead of one that all share
     infer: Callable[[Params, Context], Belief] | None = None  # policy parameters, what happened in a task → its code

@@ -57,6 +57,7 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
         project=on_lte_sphere,
         code_noise=lte_noise,
         distribution=distribution,
+        on_sphere=config.normalise_lte,
         embed=embed,
         value=value,
     )

@@ -54,5 +54,6 @@ def _onehot(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, 
         project=lambda code: shown * unit(code),
         code_noise=0.0,
         distribution=distribution,
+        on_sphere=bool(shown),
         value=value,
     )

@@ -4,32 +4,27 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from ear_jax import ltes, records
 from ear_jax.adapt import adapt
 from ear_jax.cli.arguments import check_finite, parse
+from ear_jax.cli.on_run import OnRun
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.report.search import draw_search
-from ear_jax.runtime import enable_cache
 from ear_jax.search import Search, episodes_an_epoch
 from ear_jax.tasks import task_set
 from ear_jax.terminal import phase
-from ear_jax.trained import load
 
 
-@dataclass(frozen=True)
-class AdaptCommand:
+@dataclass(frozen=True, kw_only=True)
+class AdaptCommand(OnRun):
     """Find codes for tasks the policy was never trained on, by the cross-entropy method; PEARL infers, MAML tunes."""
 
-    run: tyro.conf.Positional[Path]
-    """The run directory, an exported file, or pretrained:NAME."""
     target: tuple[str, ...] = ()
     """The tasks, as in 3.6; by default the family's adaptation tasks."""
     zero_shot: bool = False
@@ -46,12 +41,6 @@ class AdaptCommand:
     """How far away, a standard deviation a coordinate."""
     episodes: int = 5
     """Fresh episodes by which an epoch's best is judged again."""
-    seed: int = 0
-    """Seeds the search, and the family's adaptation tasks."""
-    family: str | None = None
-    """A family of your own has to be named again, as for `ear train`."""
-    json: bool = False
-    """Print one JSON document and nothing else."""
 
 
 def main(words: list[str]) -> None:
@@ -66,8 +55,7 @@ def main(words: list[str]) -> None:
         ltes.check_name(command.save)
         if len(command.target) != 1:
             raise UsageError(f"--save {command.save} names one LTE; give one --target")
-    enable_cache()
-    trained = load(command.run, command.family)
+    trained = command.load()
     family = trained.program.family
     named = [find_task(family, text) for text in command.target]
     tasks = task_set(named) if named else family.adaptation_tasks(command.seed)

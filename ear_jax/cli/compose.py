@@ -4,42 +4,31 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from ear_jax import records
 from ear_jax.cli.arguments import check_finite, parse
 from ear_jax.cli.interpolate import find_end
+from ear_jax.cli.on_run import OnRun
 from ear_jax.compose import BETAS, compose
 from ear_jax.errors import UsageError
 from ear_jax.report.gaits import draw_gaits
-from ear_jax.runtime import enable_cache
 from ear_jax.terminal import phase
-from ear_jax.trained import load
 
 
-@dataclass(frozen=True)
-class ComposeCommand:
+@dataclass(frozen=True, kw_only=True)
+class ComposeCommand(OnRun):
     """Do two tasks of different kinds at once: a grid of blends of their LTEs, f(β Z₁ + (1 − β) Z₂)."""
 
-    run: tyro.conf.Positional[Path]
-    """The run directory, an exported file, or pretrained:NAME."""
     between: tuple[str, str]
     """Two tasks it was trained on, as in walk stand, or LTEs saved by `ear adapt --save`."""
     beta: tuple[float, ...] = BETAS
     """The blends: 1 is the first, 0 the second."""
     steps: int = 1000
     """Environment steps of each."""
-    seed: int = 0
-    """Seeds the start."""
-    family: str | None = None
-    """A family of your own has to be named again, as for `ear train`."""
-    json: bool = False
-    """Print one JSON document and nothing else."""
 
 
 def main(words: list[str]) -> None:
@@ -49,8 +38,7 @@ def main(words: list[str]) -> None:
     if not command.beta:
         raise UsageError("--beta needs numbers, as in 1 0.5 0")
     check_finite("--beta", *command.beta)
-    enable_cache()
-    trained = load(command.run, command.family)
+    trained = command.load()
     first, second = (find_end(trained, word) for word in command.between)
     if first.name == second.name:
         raise UsageError(f"--between {' '.join(command.between)} names one task twice")

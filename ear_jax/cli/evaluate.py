@@ -8,45 +8,32 @@ from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from ear_jax import ltes, records
 from ear_jax.cli.arguments import parse
+from ear_jax.cli.on_run import OnRun
 from ear_jax.errors import UsageError
 from ear_jax.evaluate import evaluate, evaluate_code
 from ear_jax.report.figures import draw_run
-from ear_jax.runtime import enable_cache
-from ear_jax.trained import load
 
 
-@dataclass(frozen=True)
-class EvaluateCommand:
+@dataclass(frozen=True, kw_only=True)
+class EvaluateCommand(OnRun):
     """Play a run's newest policy on its training tasks, or under any LTE, without exploration."""
 
-    run: tyro.conf.Positional[Path]
-    """The run directory, an exported file, or pretrained:NAME."""
     episodes: int = 3
     """Episodes per task."""
     lte: tuple[str, ...] = ()
     """Instead of the tasks' LTEs: one saved by `ear adapt --save`, or its numbers."""
-    seed: int = 0
-    """Seeds the starts, which no training step has seen."""
-    family: str | None = None
-    """A family of your own has to be named again, as for `ear train`."""
-    engine: str | None = None
-    """Physics engine: auto, native (CPU), mjx or warp; by default the run's own."""
-    json: bool = False
-    """Print one JSON document and nothing else."""
 
 
 def main(words: list[str]) -> None:
     command = parse(EvaluateCommand, words, "evaluate")
     if command.episodes < 1:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
-    enable_cache()
-    trained = load(command.run, command.family, command.engine)
+    trained = command.load()
     if command.lte:
         seeds, size = trained.program.config.seeds, trained.program.agent.code_size
         codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size))

@@ -37,7 +37,7 @@ def main(words: list[str]) -> None:
         raise UsageError(f"{command.file} must end in {SUFFIX}")
     if command.file.exists():
         raise UsageError(f"{command.file} is there already; name another file")
-    trained = load(command.run, command.family)
+    trained = load(command.run, command.family, "auto")  # no physics is stepped: not that of its own machine
     about = {name: value for name, value in trained.about.items() if name != "leaves"}
     card = describe(trained, records.read_rows(command.run / "metrics.jsonl"))
     codes = jax.vmap(trained.program.agent.codes)(trained.policies)

@@ -14,8 +14,7 @@ from rich.table import Table
 from ear_jax.cli.arguments import parse
 from ear_jax.envs import FAMILIES, make_family
 from ear_jax.envs.registry import offered_families
-from ear_jax.errors import RunError
-from ear_jax.physics import ENGINES
+from ear_jax.errors import RunError, UsageError
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ def main(words: list[str]) -> None:
     for name in command.names or (*FAMILIES, *offered_families()):
         try:
             found.append(describe(name))
-        except RunError as error:
+        except (UsageError, RunError) as error:
             if command.names:
                 raise
             lacking[name] = str(error)
@@ -42,13 +41,13 @@ def main(words: list[str]) -> None:
         print(json.dumps({"families": found, "lacking": lacking}))
         return
     table = Table()
-    for heading in ("family", "tasks", "obs", "action", "step (s)", "episode", "engines"):
+    for heading in ("family", "tasks", "obs", "action", "step (s)", "episode"):
         table.add_column(heading, overflow="fold")
     for family in found:
         names = family["tasks"]
         tasks = f"{len(names)}: {names[0]} … {names[-1]}"
         sizes = (str(family[key]) for key in ("observation_size", "action_size", "dt", "episode_length"))
-        table.add_row(family["name"], tasks, *sizes, ", ".join(family["engines"]))
+        table.add_row(family["name"], tasks, *sizes)
     Console(highlight=False).print(table)
     for name, reason in lacking.items():
         print(f"{name} is not to be had here: {reason}")
@@ -68,5 +67,4 @@ def describe(name: str) -> dict[str, Any]:
         "action_size": family.action_size,
         "dt": round(family.dt, 6),
         "episode_length": family.episode_length,
-        "engines": list(ENGINES),
     }

@@ -4,33 +4,29 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
 from ear_jax import ltes, records
 from ear_jax.cli.arguments import check_finite, parse
+from ear_jax.cli.on_run import OnRun
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
 from ear_jax.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.report.blends import draw_blends
-from ear_jax.runtime import enable_cache
 from ear_jax.terminal import phase
-from ear_jax.trained import Trained, load
+from ear_jax.trained import Trained
 
 HEADINGS = {"mid_task": "mid", "one_to_one": "1:1", "one_to_one_outcome": "at β = ½"}
 
 
-@dataclass(frozen=True)
-class InterpolateCommand:
+@dataclass(frozen=True, kw_only=True)
+class InterpolateCommand(OnRun):
     """Do what lies between two trained tasks, or beyond them, with no training: f(β Z₁ + (1 − β) Z₂)."""
 
-    run: tyro.conf.Positional[Path]
-    """The run directory, an exported file, or pretrained:NAME."""
     between: tuple[str, str] | None = None
     """Two tasks it was trained on, as in 2 3, or LTEs saved by `ear adapt --save`."""
     all_pairs: bool = False
@@ -43,12 +39,6 @@ class InterpolateCommand:
     """The paper's normalised sum, or the great circle."""
     episodes: int = 3
     """Episodes a blend."""
-    seed: int = 0
-    """Seeds the starts."""
-    family: str | None = None
-    """A family of your own has to be named again, as for `ear train`."""
-    json: bool = False
-    """Print one JSON document and nothing else."""
 
 
 def main(words: list[str]) -> None:
@@ -62,8 +52,7 @@ def main(words: list[str]) -> None:
         check_finite("--target", command.target)
     if command.episodes < 1:
         raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
-    enable_cache()
-    trained = load(command.run, command.family)
+    trained = command.load()
     family = trained.program.family
     neighbours = adjacent_pairs(trained_ends(trained), family)
     pairs = [find_pair(trained, *command.between)] if command.between else neighbours

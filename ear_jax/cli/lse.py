@@ -4,39 +4,26 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
-
-import tyro
 
 from ear_jax import records
 from ear_jax.cli.arguments import parse
+from ear_jax.cli.on_run import OnRun
 from ear_jax.envs import find_task
 from ear_jax.report.signals import draw_signals
-from ear_jax.runtime import enable_cache
 from ear_jax.sensing import describe, sense
-from ear_jax.trained import load
 
 
-@dataclass(frozen=True)
-class LseCommand:
+@dataclass(frozen=True, kw_only=True)
+class LseCommand(OnRun):
     """Compare what the policy's state encoder says along a gait with the raw state: main directions and periodicity."""
 
-    run: tyro.conf.Positional[Path]
-    """The run directory, an exported file, or pretrained:NAME."""
     task: str | None = None
     """A task it was trained on, as in 2; by default the middle one."""
-    seed: int = 0
-    """Seeds the start."""
-    family: str | None = None
-    """A family of your own has to be named again, as for `ear train`."""
-    json: bool = False
-    """Print one JSON document and nothing else."""
 
 
 def main(words: list[str]) -> None:
     command = parse(LseCommand, words, "lse")
-    enable_cache()
-    trained = load(command.run, command.family)
+    trained = command.load()
     names = trained.program.tasks.names
     task = names[len(names) // 2] if command.task is None else find_task(trained.program.family, command.task).name
     document = describe(trained, task, sense(trained, task, command.seed))

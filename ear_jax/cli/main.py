@@ -7,6 +7,7 @@ import os
 import sys
 
 from ear_jax.errors import RunError, UsageError, unknown
+from ear_jax.stopping import Stopped
 
 # Each is a function main(arguments) in the module; imported only when it is called.
 COMMANDS = {
@@ -60,10 +61,11 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read us has left
         return 1
-    except Exception as error:
-        if type(error).__name__ == "Stopped":
-            return error.exit_code  # type: ignore[attr-defined]
-        raise
+    except OSError as error:
+        print(f"ear: {error.filename}: {error.strerror}" if error.filename else f"ear: {error}", file=sys.stderr)
+        return 1
+    except Stopped as stop:
+        return stop.exit_code
 
 
 if __name__ == "__main__":

@@ -11,31 +11,28 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
-import tyro
 
 from ear_jax import ltes, records
 from ear_jax.cli.arguments import check_finite, parse
-from ear_jax.codes import blend, slerp
+from ear_jax.cli.on_run import OnRun
 from ear_jax.envs import Family, find_task
 from ear_jax.errors import RunError, UsageError
+from ear_jax.interpolate import between
 from ear_jax.networks import Params
 from ear_jax.render import arrange, film, photograph
 from ear_jax.report.strip import draw_strip
 from ear_jax.report.video import write_gif, write_mp4
-from ear_jax.runtime import enable_cache
 from ear_jax.terminal import phase, say
-from ear_jax.trained import Trained, load
+from ear_jax.trained import Trained
 from ear_jax.trajectory import Trajectory, follow
 
 BETAS = (0.75, 0.5, 0.25)
 
 
-@dataclass(frozen=True)
-class RenderCommand:
+@dataclass(frozen=True, kw_only=True)
+class RenderCommand(OnRun):
     """Show what the policy does under tasks it was trained on, under a code, or between two tasks."""
 
-    run: tyro.conf.Positional[Path]
-    """The run directory, an exported file, or pretrained:NAME."""
     task: tuple[str, ...] = ()
     """Tasks it was trained on, as in 2 or 1 2 3."""
     lte: tuple[str, ...] = ()
@@ -50,14 +47,8 @@ class RenderCommand:
     """GIF and MP4 beside the strip; --no-film leaves them out, which take most of the time."""
     steps: int = 100
     """Environment steps, as many as in the paper's figure 3."""
-    seed: int = 0
-    """Seeds the start, which is the same for all."""
     policy: int = 0
     """Of a run of several seeds, whose policy: 0 is the first."""
-    family: str | None = None
-    """A family of your own has to be named again, as for `ear train`."""
-    json: bool = False
-    """Print one JSON document and nothing else."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +62,7 @@ class Scene:
 def main(words: list[str]) -> None:
     command = parse(RenderCommand, words, "render")
     _check(command)
-    enable_cache()
-    trained = load(command.run, command.family)
+    trained = command.load()
     program, seeds = trained.program, trained.program.config.seeds
     if not 0 <= command.policy < seeds:
         raise UsageError(f"--policy {command.policy} is none of the run's: it has {seeds}, and the first is 0")
@@ -132,13 +122,9 @@ def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Sc
     if one == other:
         raise UsageError(f"--interpolate {' '.join(command.interpolate or ())} names one task twice")
 
-    def between(beta: float) -> Scene:
-        first, second, share = table[one], table[other], jnp.float32(beta)
-        arc = command.along == "arc"
-        code = slerp(first, second, share) if arc else blend(first, second, share, agent.project)
-        return Scene(f"β = {beta:g}", code)
-
-    blends = [between(beta) for beta in sorted(command.beta or BETAS, reverse=True)]
+    way = between(agent, command.along)
+    betas = sorted(command.beta or BETAS, reverse=True)
+    blends = [Scene(f"β = {beta:g}", way(table[one], table[other], jnp.float32(beta))) for beta in betas]
     return [Scene(tasks.names[one], table[one]), *blends, Scene(tasks.names[other], table[other])]
 
 

@@ -35,9 +35,6 @@ class AngleFamily(Family):
             angles = rng.choice(360, size=self.unseen, replace=False)
         return task_set([self.at(int(angle)) for angle in angles])
 
-    def interpolation_tasks(self) -> TaskSet:
-        return task_set([self.at(angle + self.spacing / 2) for angle in range(0, 360, self.spacing)])
-
     def parse_task(self, text: str) -> Task:
         """A task from `45`, `45deg` or its name; any angle, by the whole turn."""
         word = text.strip().lower().removeprefix(self.prefix)

@@ -80,10 +80,6 @@ class Family(Env):
         """Tasks not trained on, drawn from a seed; none by default."""
         return TaskSet(())
 
-    def interpolation_tasks(self) -> TaskSet:
-        """What lies midway between neighbouring training tasks, in their order; none by default."""
-        return TaskSet(())
-
     @abc.abstractmethod
     def parse_task(self, text: str) -> Task:
         """A task from the words a person uses for it; raises UsageError where there is none."""

@@ -76,7 +76,6 @@ def _check_task_sets(family: Family) -> TaskSet:
     found = {
         "training_tasks": _guarded(family, "training_tasks")(),
         "adaptation_tasks": _guarded(family, "adaptation_tasks")(0),
-        "interpolation_tasks": _guarded(family, "interpolation_tasks")(),
     }
     for method, tasks in found.items():
         if not isinstance(tasks, TaskSet):

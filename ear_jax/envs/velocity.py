@@ -31,10 +31,6 @@ class VelocityFamily(Family):
         speeds = np.random.default_rng(seed).uniform(*self.adaptation_range, size=3)
         return task_set([velocity_task(float(speed)) for speed in speeds])
 
-    def interpolation_tasks(self) -> TaskSet:
-        pairs = zip(self.speeds[:-1], self.speeds[1:], strict=True)
-        return task_set([velocity_task((low + high) / 2) for low, high in pairs])
-
     def parse_task(self, text: str) -> Task:
         """A task from `2`, `2.5`, `vel-2.5` or `2.5m/s`."""
         try:

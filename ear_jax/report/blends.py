@@ -9,12 +9,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from ear_jax.records import folder
 from ear_jax.report.figures import COLOURS, STYLE, legend_below, look
 
 
 def draw_blends(figures: Path, document: dict[str, Any]) -> list[Path]:
     """Draws what `ear interpolate` found, a figure a seed; returns the paths."""
-    figures.mkdir(exist_ok=True)
+    folder(figures)
     kind, draw = ("pairs", _draw_pairs) if "pairs" in document else ("blends", _draw_betas)
     paths = []
     for seed in sorted({row["seed"] for row in document[kind]}):

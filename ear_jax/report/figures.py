@@ -12,6 +12,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
+from ear_jax.records import folder
+
 # Okabe and Ito's colours, told apart by the colour-blind too.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LINES = ("-", "--", "-.", ":")
@@ -42,14 +44,14 @@ def legend_below(axes: Axes, columns: int) -> None:
 
 
 def draw_run(directory: Path, rows: list[dict[str, Any]], evaluation: dict[str, Any]) -> list[Path]:
-    """Draws a run's learning curve, if it has one, and what it achieved against what was commanded, into `figures/`."""
-    figures = directory / "figures"
-    figures.mkdir(exist_ok=True)
+    """Draws into `figures/` a run's learning curve and what it achieved against what was commanded, if there is any."""
+    figures = folder(directory / "figures")
     drawn = []
     if rows:
         drawn.append(_draw(figures / "learning_curve.png", (4.5, 3.0), lambda axes: learning_curve(axes, rows)))
-    points = figures / "commanded_achieved.png"
-    drawn.append(_draw(points, (3.6, 3.4), lambda axes: commanded_against_achieved(axes, evaluation)))
+    if any(task["target"] is not None for task in evaluation["seeds"][0]["tasks"]):
+        points = figures / "commanded_achieved.png"
+        drawn.append(_draw(points, (3.6, 3.4), lambda axes: commanded_against_achieved(axes, evaluation)))
     return drawn
 
 

@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from ear_jax.records import folder
 from ear_jax.report.figures import COLOURS, STYLE
 
 UNITS = {"height": "m", "squared_action": "1", "velocity_x": "m/s", "velocity_y": "m/s"}
@@ -16,7 +17,7 @@ UNITS = {"height": "m", "squared_action": "1", "velocity_x": "m/s", "velocity_y"
 
 def draw_gaits(figures: Path, document: dict[str, Any]) -> list[Path]:
     """A figure a seed; returns the paths."""
-    figures.mkdir(exist_ok=True)
+    folder(figures)
     between = "_to_".join(document["between"])
     paths = [figures / f"compose_{between}_seed{one['seed']}.png" for one in document["seeds"]]
     return [_draw_seed(path, one, document) for path, one in zip(paths, document["seeds"], strict=True)]

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, Normalize
 
+from ear_jax.records import folder
 from ear_jax.report.figures import STYLE
 
 VIEWS = ((20.0, 30.0), (20.0, 210.0))  # elevation and azimuth of the two sides of the sphere, degrees
@@ -18,7 +19,7 @@ BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "line
 
 def draw_map(figures: Path, document: dict[str, Any]) -> list[Path]:
     """Draws for every seed both sides of the sphere and a flat map of it; returns the paths."""
-    figures.mkdir(exist_ok=True)
+    folder(figures)
     return [
         path
         for one in document["seeds"]

@@ -8,13 +8,14 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
+from ear_jax.records import folder
 from ear_jax.report.figures import STYLE, legend_below, look
 
 
 def draw_search(figures: Path, document: dict[str, Any]) -> list[Path]:
     """Draws what `ear adapt` found, a figure a seed; returns the paths, none where nothing was searched."""
     searched = [task for task in document["tasks"] if task["epochs"]]
-    figures.mkdir(exist_ok=True)
+    folder(figures)
     paths = []
     for seed in sorted({task["seed"] for task in searched}):
         with plt.rc_context(STYLE):

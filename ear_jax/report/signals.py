@@ -9,6 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
+from ear_jax.records import folder
 from ear_jax.report.figures import COLOURS, STYLE
 
 NAMES = {"state": "raw state", "lse": "LSE"}
@@ -16,7 +17,7 @@ NAMES = {"state": "raw state", "lse": "LSE"}
 
 def draw_signals(figures: Path, document: dict[str, Any]) -> list[Path]:
     """A figure a seed: both signals in their main directions, and their autocorrelations; returns the paths."""
-    figures.mkdir(exist_ok=True)
+    folder(figures)
     return [_draw_seed(figures / f"lse_seed{one['seed']}.png", one, document) for one in document["seeds"]]
 
 
