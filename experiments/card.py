@@ -73,11 +73,12 @@ def judge(family: Family, task: dict[str, Any], all_tasks: list[dict[str, Any]])
 
 
 def limits(tasks: list[dict[str, Any]], episodes: int, unit: str) -> str:
-    """Which tasks an agent does not meet, and what it does where nothing is commanded; `episodes` a task were played."""
+    """Which tasks an agent does not meet, and what it does without a target; `episodes` a task were played."""
     judged = [task for task in tasks if "met" in task]
     missed = [task for task in judged if not task["met"]]
     off = ", ".join(f"{task['achieved']:.2f} for {task['name']}" for task in missed if not task["failures"])
-    over = ", ".join(f"{task['name']} ({task['failures']} of {episodes} episodes)" for task in tasks if task["failures"])
+    ended = [task for task in tasks if task["failures"]]
+    over = ", ".join(f"{task['name']} ({task['failures']} of {episodes} episodes)" for task in ended)
     free = ", ".join(f"{task['name']} ({_means(task['outcome'])})" for task in tasks if "met" not in task)
     parts = [
         f"meets {len(judged) - len(missed)} of {len(judged)} tasks" if judged else "",

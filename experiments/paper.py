@@ -145,9 +145,9 @@ FIGURES = (
 OURS = (
     Experiment(
         "agents",
-        "all agents and ablations on HalfCheetah-Vel, equal budget",
+        "agents and ablations on HalfCheetah-Vel, about an hour of one core each",
         methods((CHEETAH,), EVALUATION, agents=("ear", "onehot", "onehot-blind", "multihead", "ear-rnn"))
-        + methods((CHEETAH,), EVALUATION, ablations=("+no-noise", "+no-norm", "+no-noise+no-norm")),
+        + methods((CHEETAH,), EVALUATION, INTERPOLATION, ablations=("+no-noise", "+no-norm", "+no-noise+no-norm")),
         seeds=2,
     ),
     Experiment(

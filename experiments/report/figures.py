@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ear_jax.report.figures import STYLE, legend_below, look
 from experiments.report.found import Run
@@ -86,17 +86,30 @@ def _short(steps: float, _: int) -> str:
 
 
 def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
-    """Return on unseen tasks, their mean, against epochs of search: the best of an epoch, and it judged again."""
+    """Return on unseen tasks, their mean, against env steps a task: of what was found, and of what it came from."""
     for index, (label, runs) in enumerate(lines.items()):
         style = look(index)
         searched = [task for run in runs for task in run.of_seed("adaptation", "tasks") if task["epochs"]]
         epochs = min(len(task["epochs"]) for task in searched)
-        for name, what, line in (("reevaluated", "judged again", "-"), ("best_of_epoch", "best candidate", "--")):
+        played, mapped = (
+            float(np.mean([_steps_a_task(run, key) for run in runs])) for key in ("env_steps", "map_env_steps")
+        )
+        for name, what, line in (("reevaluated", "found", "-"), ("best_of_epoch", "found from", "--")):
             mean = np.mean([[epoch[name] for epoch in task["epochs"][:epochs]] for task in searched], axis=0)
             look_of = {**style, "linestyle": line, "fillstyle": "full" if line == "-" else "none"}
-            axes.plot(np.arange(1, len(mean) + 1), mean, **look_of, markersize=4, label=f"{label}: {what}")
+            steps = played / epochs * np.arange(1, len(mean) + 1)
+            axes.plot(steps, mean, **look_of, markersize=4, label=f"{label}: {what}")
         answers = [task["zero_shot"]["reevaluated"] for task in searched if task.get("zero_shot")]
         if len(answers) == len(searched):
-            axes.plot(0, np.mean(answers), "*", color=style["color"], markersize=9, label=f"{label}: from a map")
-    axes.set(xlabel="epochs of search (0: none)", ylabel="return, mean over unseen tasks", title=title)
+            axes.plot(mapped, np.mean(answers), "*", color=style["color"], markersize=9, label=f"{label}: from a map")
+    axes.set(xscale="log", xlabel="env steps a task", ylabel="return, mean over unseen tasks", title=title)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(FuncFormatter(_short))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     legend_below(axes, 2)
+
+
+def _steps_a_task(run: Run, key: str) -> float:
+    """Environment steps that adaptation played for each task; those of the map are shared by all."""
+    document = run.document("adaptation") or {}
+    return document.get(key, 0) / len(document["tasks"])

@@ -12,18 +12,16 @@ from experiments.paper import (
     CHEETAH,
     DIRECTIONS_BEYOND,
     EXPERIMENTS,
-    HOPPER,
     SPEEDS_BEYOND,
-    WALKER,
     Experiment,
 )
 from experiments.report import blends, pictures, settings, tables
 from experiments.report.blocks import Block, Section, Table
 from experiments.report.found import Found, Run
+from experiments.report.measures import BLENDED
 from experiments.report.words import MISSING, NAMES, NO_RUN, count, label, lack, number
 
 BEYOND = {CHEETAH: SPEEDS_BEYOND, ANT: DIRECTIONS_BEYOND}
-FAMILIES = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
 TABLES: dict[str, Callable[[Found], list[Block]]] = {
     "table-1": tables.returns,
     "table-2": settings.hyperparameters,
@@ -37,10 +35,8 @@ TABLES: dict[str, Callable[[Found], list[Block]]] = {
     "table-10": blends.composition,
     "agents": tables.agents,
     "reach": tables.reach,
-    **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(FAMILIES)},
-    **{
-        f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(FAMILIES)
-    },
+    **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(BLENDED)},
+    **{f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(BLENDED)},
 }
 FIGURES: dict[str, Callable[[str, Found, Path], list[Block]]] = {
     **{f"figure-{number}": pictures.training for number in (2, 8, 10, 12, 13)},
