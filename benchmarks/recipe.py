@@ -24,7 +24,7 @@ from experiments.report.words import MISSING, NAMES, count, number
 DOCUMENT = RESULTS.parent.parent / "docs" / "fast.md"
 PLACE = "trials"
 PICTURE = DOCUMENT.parent / "images" / "recipe.png"
-COLUMNS = ("trial", "of", "held against", "updates", "return", "of the other")
+COLUMNS = ("trial", "of", "held against", "updates", "return", "return of that")
 LINES = ("-", "--", ":", "-.")
 
 

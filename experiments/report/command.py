@@ -27,8 +27,8 @@ class ReportCommand:
     """Where index.html, tables.md and figures/ go."""
     preset: str = "fast"
     """The preset of the runs."""
-    readme: bool = False
-    """Only put the results into README.md."""
+    docs: bool = False
+    """Only put the results into README.md and docs/results.md."""
 
 
 def report(words: list[str]) -> None:
@@ -41,11 +41,7 @@ def report(words: list[str]) -> None:
     command = parse(ReportCommand, words, "report", program="python -m experiments")
     preset_config(CHEETAH, command.preset)
     found = Found(command.preset)
-    if command.readme:
-        readme.rewrite(found)
-        print(readme.README)
-        return
-    for path in write(found, command.out):
+    for path in readme.rewrite(found) if command.docs else write(found, command.out):
         print(path)
 
 

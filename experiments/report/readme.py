@@ -1,95 +1,110 @@
-"""README's table of results, made from the records, between two markers."""
+"""README's tables of results and `docs/results.md`, made from the records, between two markers each."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from experiments.paper import ADAPTATION, CHEETAH, FAMILIES, INTERPOLATION, REACH, RUN_JUMP, Analysis
-from experiments.report import documents
+from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, REACH, RUN_JUMP
+from experiments.report import documents, markdown
 from experiments.report.blocks import Table
+from experiments.report.comparison import comparison
 from experiments.report.found import Found, Run
-from experiments.report.markdown import table
 from experiments.report.measures import mean_return, paper_budget, paper_counts, paper_return, successes, unit
-from experiments.report.sections import machine
-from experiments.report.words import MISSING, NAMES, count, number, printed, seeds, span, spread
+from experiments.report.sections import TABLES, machine, title
+from experiments.report.words import MISSING, NAMES, count, label, number, percent, printed, seeds, span, spread
 
-README = Path(__file__).parents[2] / "README.md"
+ROOT = Path(__file__).parents[2]
+README, DETAILS = ROOT / "README.md", ROOT / "docs" / "results.md"
 PLACE = "results"
-MILESTONES = {CHEETAH: (-250, -200, -170)}  # returns, and when training passed them
-SUCCESS = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
+TOLD = (*FAMILIES, RUN_JUMP, REACH)
+COLUMNS = ("family", "return", "the paper", "midway", "between", "from a map", "minutes a seed")
 
 
-def rewrite(found: Found) -> None:
-    """Puts the results into README; raises RunError where it has no place for them, or cannot be written."""
+def rewrite(found: Found) -> list[Path]:
+    """Puts the results into both documents; raises RunError where one has no place for them, or cannot be written."""
     documents.put(README, PLACE, results(found))
+    documents.put(DETAILS, PLACE, details(found))
+    return [README, DETAILS]
+
+
+def details(found: Found) -> str:
+    """Every table, and in words where we agree with the paper."""
+    parts = [*map(markdown.block, comparison(found).blocks)]
+    for id, build in TABLES.items():
+        parts += [f"## {title(EXPERIMENTS[id])}", *map(markdown.block, build(found))]
+    return "\n\n".join(parts)
 
 
 def results(found: Found) -> str:
-    """What stands between the markers: EAR's returns, interpolation and adaptation, and notes on the runs."""
-    families = (*FAMILIES, RUN_JUMP, REACH)
-    rows = [row for family in families for row in _family(family, found.runs(family))]
-    runs = [run for family in families for run in found.runs(family)]
-    parts = [table(Table("", ("what", "command", "here", "the paper"), rows)), *_machines(runs), *map(_note, runs)]
+    """EAR on every family, all methods on the cheetah, and notes on the runs."""
+    runs = {family: found.runs(family) for family in TOLD}
+    rows = [_family(family, runs[family]) for family in TOLD if runs[family]]
+    parts = [
+        markdown.table(Table("", COLUMNS, rows)),
+        HOW_TO_READ,
+        _budget(runs),
+        "Other methods, and EAR-SAC with a part left out, on HalfCheetah-Vel, in about an hour of one core each:",
+        markdown.table(Table("", ("method", "return", "the paper"), _methods(found))),
+        *_machines([run for family in TOLD for run in runs[family]]),
+        *(_note(run) for family in TOLD for run in runs[family]),
+    ]
     return "\n\n".join(filter(None, parts))
 
 
-def _family(family: str, runs: list[Run]) -> list[list[str]]:
-    if not runs:
-        return []
+HOW_TO_READ = (
+    "*Return*: the mean over training tasks, ± over seeds. *Midway*: pairs of neighbouring tasks of which a blend meets "
+    "the value midway. *Between*: pairs whose half-and-half blend lies between the two; in brackets the paper's. *From "
+    "a map*: mean error on tasks never trained on, of the embedding that one map of 500 episodes gives for all of them."
+)
+
+
+def _family(family: str, runs: list[Run]) -> list[str]:
     paper = paper_return(family, "ear")
-    reached = f"{spread([mean_return(run) for run in runs])} ({seeds(runs)}; {_spent([run.last for run in runs])})"
-    theirs = "a curve, no number" if family == REACH else MISSING
-    if paper:
-        steps, updates = map(count, paper_budget(family))
-        theirs = f"{printed(paper)} (3 seeds; {steps} env steps, {updates} updates)"
-    rows = [[f"{NAMES[family]}, return", f"`{runs[0].command}`", reached, theirs], *_passed(family, runs)]
-    for what, words in SUCCESS.items():
-        counted = successes(runs, what)
-        if counted:
-            pairs = f"{counted} pairs ({seeds(counted.seeds)})"
-            theirs = paper_counts(family, what)
-            rows.append([f"… {words}", _on_run(INTERPOLATION), pairs, printed(theirs) if theirs else MISSING])
-    return rows + _adapted(family, runs)
+    theirs = "a curve" if family == REACH else MISSING
+    return [
+        NAMES[family],
+        f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})",
+        printed(paper) if paper else theirs,
+        *(_successes(family, runs, what) for what in ("mid_task", "one_to_one")),
+        _mapped(family, runs),
+        span([run.last["seconds"] / 60 for run in runs], lambda minutes: number(minutes, 0)),
+    ]
 
 
-def _passed(family: str, runs: list[Run]) -> list[list[str]]:
-    """When the mean return in training passed the family's milestones, where that of every run did."""
-    rows = []
-    for level in MILESTONES.get(family, ()):
-        first = [next((row for row in run.rows if row["mean_return"] >= level), None) for run in runs]
-        reached = [row for row in first if row]
-        if len(reached) == len(runs):
-            rows.append([f"… passes {number(level, 0)} in training", "", _spent(reached), MISSING])
-    return rows
+def _successes(family: str, runs: list[Run], what: str) -> str:
+    counted, theirs = successes(runs, what), paper_counts(family, what)
+    return (str(counted) if counted else MISSING) + (f" ({printed(theirs)})" if theirs else "")
 
 
-def _spent(rows: list[dict[str, Any]]) -> str:
-    """The budget of rows of metrics, from the least to the most."""
-    minutes = span([row["seconds"] / 60 for row in rows], number)
-    steps, updates = (span([row[key] for row in rows], count) for key in ("env_steps", "updates"))
-    return f"{minutes} min, {steps} env steps, {updates} updates"
-
-
-def _on_run(analysis: Analysis) -> str:
-    return f"`{' '.join(['ear', analysis.command, 'RUN', *analysis.options])}`"
-
-
-def _adapted(family: str, runs: list[Run]) -> list[list[str]]:
+def _mapped(family: str, runs: list[Run]) -> str:
     tasks = [task for run in runs for task in run.of_seed(ADAPTATION.name, "tasks")]
-    searched = [task["epochs"][2]["reevaluated"] for task in tasks if len(task["epochs"]) > 2]
     errors = [task["zero_shot"]["error"] for task in tasks if task.get("zero_shot")]
+    return f"{number(float(np.mean(errors)), 2)} {unit(family)}" if errors else MISSING
+
+
+def _budget(runs: dict[str, list[Run]]) -> str:
+    """What a run of each family costs beside the paper's, in a sentence; empty without runs."""
+    said = []
+    for family in FAMILIES:
+        if runs[family]:
+            steps, updates = paper_budget(family)
+            last = runs[family][0].last
+            shares = percent(last["env_steps"] / steps, 0), percent(last["updates"] / updates, 0)
+            said.append(
+                f"{NAMES[family]} {count(last['env_steps'])} ({shares[0]}) and {count(last['updates'])} ({shares[1]})"
+            )
+    return f"Env steps and updates a seed, and of the paper's: {'; '.join(said)}." if said else ""
+
+
+def _methods(found: Found) -> list[list[str]]:
     rows = []
-    if searched:
-        value = f"{number(float(np.mean(searched)))} on {len(searched)} unseen tasks"
-        theirs = "no number; converged by then" if family in FAMILIES else MISSING
-        rows.append(["… return after 3 epochs of search", _on_run(ADAPTATION), value, theirs])
-    if errors:
-        mean = number(float(np.mean(errors)), 2)
-        value = f"{mean} {unit(family)} on {len(errors)} unseen tasks, at most {number(max(errors), 2)}"
-        rows.append(["… error without search, mean", _on_run(ADAPTATION), value, MISSING])
+    for method in EXPERIMENTS["agents"].methods:
+        runs = found.of(method)
+        paper = None if method.ablation else paper_return(method.family, method.agent)
+        ours = f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})" if runs else MISSING
+        rows.append([label(method), ours, printed(paper) if paper else MISSING])
     return rows
 
 

@@ -51,16 +51,19 @@ FIGURES: dict[str, Callable[[str, Found, Path], list[Block]]] = {
 
 def section(experiment: Experiment, found: Found, out: Path) -> Section:
     """What there is of one table or figure; draws its pictures into `out`/figures."""
-    title = f"{experiment.id.replace('-', ' ').capitalize()}: {experiment.shows}"
     if experiment.id in TABLES:
         blocks = TABLES[experiment.id](found)
     else:
         blocks = FIGURES[experiment.id](experiment.id, found, out) or [f"{lack(found.behind(experiment))}."]
     if not experiment.methods:
-        return Section(experiment.id, title, blocks)
+        return Section(experiment.id, title(experiment), blocks)
     made = f"`python -m experiments reproduce {experiment.id} --preset {found.preset}` makes it."
     blocks = [made, *blocks, _runs_behind(experiment, found)]
-    return Section(experiment.id, title, blocks, _lack(experiment, found))
+    return Section(experiment.id, title(experiment), blocks, _lack(experiment, found))
+
+
+def title(experiment: Experiment) -> str:
+    return f"{experiment.id.replace('-', ' ').capitalize()}: {experiment.shows}"
 
 
 def _lack(experiment: Experiment, found: Found) -> str:
