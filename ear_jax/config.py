@@ -216,6 +216,10 @@ def check(config: Config, tasks: int) -> None:
     for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{_flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
+    if config.agent == "ear-rnn":
+        for name in ("network.encoder_layers", "network.decoder_layers"):
+            if _setting(config, name) < 1:
+                raise UsageError(f"{_flag(name)} 0 is too small for ear-rnn, whose first layer is its RNN")
     if config.agent == "maml":  # which neither replays nor draws batches
         if config.sac.updates != 1:
             raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update an epoch")

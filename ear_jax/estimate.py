@@ -15,6 +15,7 @@ from ear_jax.config import Config
 from ear_jax.errors import RunError
 from ear_jax.evaluate import Episodes, play_training_tasks
 from ear_jax.networks import Params
+from ear_jax.seeds import devices_for
 from ear_jax.terminal import phase
 from ear_jax.train import Program
 
@@ -45,7 +46,7 @@ def memory(program: Program) -> Memory:
     """What a run's state takes; nothing is allocated."""
     state = jax.eval_shape(jax.vmap(partial(train.init, program)), train.seed_keys(program.config))
     replay, learner, total = (runtime.tree_bytes(part) for part in (state.replay, state.learner, state))
-    return Memory(replay, learner, total, runtime.available_bytes())
+    return Memory(replay, learner, total, runtime.available_bytes(devices_for(program.config.seeds)))
 
 
 def check_memory(program: Program) -> None:

@@ -16,14 +16,15 @@ FILE = "ltes.json"
 NAME = r"[A-Za-z][\w.-]*"
 
 
-def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]]) -> None:
-    """Keeps one LTE a seed, found for a task, under a name; an older one of that name gives way.
+def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]], policy: str) -> None:
+    """Keeps one LTE a seed, found for a task and a policy (its fingerprint), under a name; an older one gives way.
 
     Raises:
       UsageError: a name that could be mistaken for a number or an option.
     """
     check_name(name)
-    records.write_json(run / FILE, {**named(run), name: {"task": task, "codes": [list(code) for code in codes]}})
+    found = {"task": task, "policy": policy}
+    records.write_json(run / FILE, {**named(run), name: {**found, "codes": [list(code) for code in codes]}})
 
 
 def check_name(name: str) -> None:
@@ -32,7 +33,7 @@ def check_name(name: str) -> None:
 
 
 def named(run: Path) -> dict[str, Any]:
-    """Every named LTE of a run: the task it was found for and its codes [seeds, code].
+    """Every named LTE of a run: the task and the policy it was found for, and its codes [seeds, code].
 
     Raises:
       RunError: the file cannot be read.
@@ -44,14 +45,14 @@ def named(run: Path) -> dict[str, Any]:
         raise RunError(f"{path} cannot be read: {error}") from None
 
 
-def find(run: Path, words: Sequence[str], seeds: int, size: int) -> list[list[float]]:
+def find(run: Path, words: Sequence[str], seeds: int, size: int, policy: str) -> list[list[float]]:
     """Codes [seeds, size] from what a person gives: the name of a saved LTE, or the numbers of one for all seeds.
 
     Raises:
-      UsageError: no such name, or numbers that are no direction.
+      UsageError: no such name, or one of another policy, or numbers that are no direction.
     """
     if len(words) == 1 and re.fullmatch(NAME, words[0]):
-        return lookup(run, words[0])["codes"]
+        return lookup(run, words[0], policy)["codes"]
     try:
         code = [float(word) for word in words]
     except ValueError:
@@ -63,11 +64,18 @@ def find(run: Path, words: Sequence[str], seeds: int, size: int) -> list[list[fl
     return [code] * seeds
 
 
-def lookup(run: Path, name: str) -> dict[str, Any]:
-    """A saved LTE: its task and codes [seeds, code]; raises UsageError where there is none."""
+def lookup(run: Path, name: str, policy: str) -> dict[str, Any]:
+    """A saved LTE: its task and codes [seeds, code].
+
+    Raises:
+      UsageError: there is none, or it was found for another policy, as before a run was continued.
+    """
     known = named(run)
     if not known:
         raise UsageError(f"no LTE {name!r}: {run} has none (`ear adapt RUN --target X --save NAME` saves one)")
     if name not in known:
         raise unknown("LTE", name, known)
+    if known[name].get("policy", policy) != policy:  # earlier versions did not keep it
+        again = f"`ear adapt RUN --target {known[name]['task']} --save {name}` finds it anew"
+        raise UsageError(f"LTE {name!r} was found for another policy than this one, as before more training; {again}")
     return known[name]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from fnmatch import fnmatch
 from typing import Any
 
-from ear_jax.config import Config, from_dict
+from ear_jax.config import Config, flat, from_dict
 from ear_jax.errors import UsageError, unknown
 
 # The defaults are the paper's for HalfCheetah-Vel.
@@ -101,6 +102,32 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
     "task-hidden": {"network": {"task_layers": 1}},
 }
+
+
+# Settings that an agent does not read, or a preset of it would have set. `fnmatch`'s patterns.
+_OF_EMBEDDINGS = ("sac.lte_noise", "network.lse_size", "network.normalise_*", "network.encoder_layers")
+_OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
+_OF_SAC = (
+    *(f"sac.{name}" for name in ("lr", "lr_decay", "discount", "pessimism", "tau", "batch_size")),
+    *(f"sac.{name}" for name in ("reward_scale", "initial_temperature", "max_grad_norm")),
+    *("network.critic_*", "network.standardise_obs", "replay.*"),
+)
+UNREAD: dict[str, tuple[str, ...]] = {
+    "ear": ("maml.*",),
+    "ear-rnn": ("maml.*",),
+    "pearl": ("maml.*", *_OF_EMBEDDINGS),
+    **dict.fromkeys(("onehot", "onehot-blind", "multihead"), ("maml.*", *_OF_EMBEDDINGS, *_OF_A_TASK_ENCODER)),
+    "maml": (*_OF_EMBEDDINGS, *_OF_A_TASK_ENCODER, *_OF_SAC),
+}
+
+
+def check_effect(config: Config) -> None:
+    """Refuses a setting that differs from the preset's and that the agent does not read; raises UsageError."""
+    preset, mine = flat(preset_config(config.family, config.preset, config.agent)), flat(config)
+    for name, value in mine.items():
+        if value != preset[name] and any(fnmatch(name, unread) for unread in UNREAD.get(config.agent, ())):
+            flag = "--" + name.replace("_", "-")
+            raise UsageError(f"{flag} {value} would change nothing: agent {config.agent!r} has no use for it")
 
 
 def preset_config(family: str, preset: str, agent: str = "ear") -> Config:

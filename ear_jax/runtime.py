@@ -48,11 +48,11 @@ def tree_bytes(tree: Any) -> int:
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
 
 
-def available_bytes() -> int | None:
-    """Memory that arrays can take on JAX's device, or None where it cannot be told."""
-    stats = jax.local_devices()[0].memory_stats()
-    if stats and "bytes_limit" in stats:
-        return stats["bytes_limit"] - stats.get("bytes_in_use", 0)
+def available_bytes(devices: int = 1) -> int | None:
+    """Memory that arrays can take on so many of JAX's devices together, or None where it cannot be told."""
+    stats = [device.memory_stats() for device in jax.local_devices()[:devices]]
+    if all(one and "bytes_limit" in one for one in stats):
+        return devices * min(one["bytes_limit"] - one.get("bytes_in_use", 0) for one in stats)
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:

@@ -13,6 +13,7 @@ from flax import struct
 from ear_jax.agents import Agent, make_agent
 from ear_jax.config import Config, check
 from ear_jax.envs import Family, find_task, make_family
+from ear_jax.errors import UsageError
 from ear_jax.grid import Cell, Grid
 from ear_jax.learner import Learner
 from ear_jax.maml import MetaLearner
@@ -69,6 +70,8 @@ def make_program(config: Config) -> Program:
     family.history = config.network.history
     tasks = task_set([find_task(family, name) for name in config.tasks]) if config.tasks else family.training_tasks()
     check(config, len(tasks))
+    if config.replay.symmetry and family.symmetry is None:
+        raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
     sizes = (family.observation_size, family.action_size, len(tasks))
     agent = make_agent(config.agent, *sizes, config.network, config.sac.lte_noise)
     return Program(config, family, tasks, agent, make_learner(agent, family, tasks.params, config))

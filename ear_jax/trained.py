@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -34,6 +35,14 @@ class Trained:
     directory: Path = Path()  # where what is found out about it is kept
     collected: int = 0  # epochs of collection
     about: dict[str, Any] = field(default_factory=dict)  # written with it: configuration, tasks, versions, machine
+
+    @property
+    def fingerprint(self) -> str:
+        """Tells these policies from all others."""
+        digest = hashlib.sha256()
+        for leaf in jax.tree.leaves(jax.device_get(self.policies)):
+            digest.update(leaf.tobytes())
+        return digest.hexdigest()[:16]
 
 
 def for_each_seed(trained: Trained, of_seed: Callable[..., Any], seed: int, *arguments: Any) -> Any:

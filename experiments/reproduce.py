@@ -58,11 +58,17 @@ def _is_kept(job: Job) -> bool:
 
 
 def keep_training(job: Job) -> None:
-    """Makes the record that of the run; documents of another run of that name go."""
+    """Makes the record that of the run; documents of another run of that name go.
+
+    Raises:
+      RunError: the run has no metrics.
+    """
     run = RUNS / job.name
     if is_recorded(job):
         job.policy.unlink(missing_ok=True)  # of a process that was stopped while it wrote
         return
+    if not (run / "metrics.jsonl").is_file():
+        raise RunError(f"{run} has no metrics yet; the record stays as it is")
     shutil.rmtree(job.record, ignore_errors=True)
     job.record.mkdir(parents=True)
     shutil.copyfile(run / "config.json", job.record / "config.json")

@@ -17,7 +17,7 @@ import pytest
 from conftest import compiled, tiny_config
 
 from ear_jax import checkpoint, records, run, train
-from ear_jax.errors import UsageError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.leaves import named
 from ear_jax.run import compile_program, train_run
 from ear_jax.train import make_program, seed_keys
@@ -141,13 +141,23 @@ def test_counts_in_the_metrics(tiny, run_directory):
     assert rows[0]["invalid_steps"] == 0
 
 
-def test_restoring_only_the_policy_reads_nothing_else(tiny, run_directory):
+def test_restoring_only_the_policy_asks_for_nothing_else(tiny, run_directory, monkeypatch):
     from ear_jax.trained import load
 
     train_run(tiny, run_directory)
+    asked, restore = [], checkpoint.restore
+
+    def note(step, like, **options):
+        asked.extend(named(like))
+        return restore(step, like, **options)
+
+    monkeypatch.setattr(checkpoint, "restore", note)
     trained = load(run_directory)
     assert trained.epoch == 4
-    assert jax.tree.leaves(trained.policies)[0].shape[0] == 1
+    assert len(asked) == len(jax.tree.leaves(trained.policies)) + 1
+    assert {name.split(".")[0] for name in asked} == {"learner", "collected"}, asked
+    for old, new in zip(leaves(last_state(run_directory, tiny).learner.policy), leaves(trained.policies), strict=True):
+        np.testing.assert_array_equal(old, new)
 
 
 @pytest.mark.slow
@@ -164,3 +174,9 @@ def test_fifty_short_runs_of_the_callback_engine_do_not_deadlock():
 def test_many_runs_in_one_process_do_not_deadlock():
     for _ in range(50):
         jax.block_until_ready(state_after(tiny_config(), 1))
+
+
+def test_minutes_that_are_over_before_anything_is_trained_are_an_error(run_directory):
+    with pytest.raises(RunError, match=r"--minutes 0.0001 were over before the first epoch; nothing was trained"):
+        train_run(tiny_config(minutes=0.0001), run_directory)
+    assert records.read_rows(run_directory / "metrics.jsonl") == []

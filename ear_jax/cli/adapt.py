@@ -19,6 +19,7 @@ from ear_jax.report.search import draw_search
 from ear_jax.search import Search, episodes_an_epoch
 from ear_jax.tasks import task_set
 from ear_jax.terminal import phase
+from ear_jax.trained import Trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +65,8 @@ def main(words: list[str]) -> None:
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
     if command.zero_shot and any(task.target is None for task in tasks.tasks):
         raise UsageError(f"--zero-shot answers tasks that command a {family.commanded}")
-    if command.save is not None and trained.program.agent.tuned:
-        raise UsageError(f"--save {command.save}: {trained.program.config.agent} has no LTEs to keep")
+    if command.save is not None:
+        _check_save(command.save, trained)
     finds = trained.program.agent.finds_codes
     if finds and search != Search(search.epochs):
         agent = trained.program.config.agent
@@ -78,7 +79,8 @@ def main(words: list[str]) -> None:
         document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
     records.write_json(trained.directory / "adaptation.json", {**document, **records.provenance()})
     if command.save is not None:
-        ltes.save(trained.directory, command.save, tasks.names[0], [task["lte"] for task in document["tasks"]])
+        codes = [task["lte"] for task in document["tasks"]]
+        ltes.save(trained.directory, command.save, tasks.names[0], codes, trained.fingerprint)
     pictures = draw_search(trained.directory / "figures", document)
     if command.json:
         print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
@@ -86,6 +88,17 @@ def main(words: list[str]) -> None:
     _print(document, family.unit)
     if pictures:
         print("pictures: " + ", ".join(str(path) for path in pictures))
+
+
+def _check_save(name: str, trained: Trained) -> None:
+    """Refuses a name that would hide a task, and an agent without LTEs."""
+    if trained.program.agent.tuned:
+        raise UsageError(f"--save {name}: {trained.program.config.agent} has no LTEs to keep")
+    try:
+        task = find_task(trained.program.family, name).name
+    except UsageError:
+        return
+    raise UsageError(f"--save {name} would hide the task {task}; choose another name")
 
 
 def _print(document: dict[str, Any], unit: str) -> None:

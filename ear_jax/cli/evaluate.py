@@ -36,7 +36,7 @@ def main(words: list[str]) -> None:
     trained = command.load()
     if command.lte:
         seeds, size = trained.program.config.seeds, trained.program.agent.code_size
-        codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size))
+        codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size, trained.fingerprint))
         _print_code(evaluate_code(trained, codes, command.episodes, command.seed), command.json)
         return
     evaluation = evaluate(trained, command.episodes, command.seed)

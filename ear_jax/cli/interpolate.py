@@ -90,7 +90,7 @@ def find_end(trained: Trained, word: str) -> End:
     """A saved LTE by its name, or a training task."""
     family, program = trained.program.family, trained.program
     if word in ltes.named(trained.directory):
-        saved = ltes.lookup(trained.directory, word)
+        saved = ltes.lookup(trained.directory, word, trained.fingerprint)
         return End(word, find_task(family, saved["task"]).target, np.array(saved["codes"], np.float32))
     return trained_ends(trained)[program.tasks.index(find_task(family, word).name)]
 

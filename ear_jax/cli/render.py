@@ -116,7 +116,7 @@ def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Sc
     if command.task:
         return [Scene(tasks.names[index], table[index]) for index in map(row, command.task)]
     if command.lte:
-        codes = ltes.find(trained.directory, command.lte, program.config.seeds, agent.code_size)
+        codes = ltes.find(trained.directory, command.lte, program.config.seeds, agent.code_size, trained.fingerprint)
         return [Scene("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
     one, other = map(row, command.interpolate or ())
     if one == other:

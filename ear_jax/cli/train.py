@@ -16,7 +16,7 @@ from ear_jax.directory import check_place, default_directory
 from ear_jax.envs.registry import FAMILIES, find_family
 from ear_jax.errors import UsageError
 from ear_jax.estimate import check_memory, gigabytes, memory, times
-from ear_jax.presets import preset_config
+from ear_jax.presets import check_effect, preset_config
 from ear_jax.run import header, train_run
 from ear_jax.runtime import enable_cache
 from ear_jax.train import make_program
@@ -36,6 +36,7 @@ class TrainCommand:
 def main(words: list[str]) -> None:
     enable_cache()
     command = read(words)
+    check_effect(command.config)
     directory = command.out or default_directory(command.config)
     if command.dry_run:
         print_estimate(command.config, directory)

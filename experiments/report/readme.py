@@ -54,9 +54,9 @@ def results(found: Found) -> str:
 
 
 HOW_TO_READ = (
-    "*Return*: the mean over training tasks, ± over seeds. *Midway*: pairs of neighbouring tasks of which a blend meets "
-    "the value midway. *Between*: pairs whose half-and-half blend lies between the two; in brackets the paper's. *From "
-    "a map*: mean error on tasks never trained on, of the embedding that one map of 500 episodes gives for all of them."
+    "*Return*: the mean over training tasks, ± over seeds. *Midway*: pairs of neighbouring tasks of which a blend "
+    "meets the value midway. *Between*: pairs whose half-and-half blend lies between the two; in brackets the paper's. "
+    "*From a map*: mean error on tasks never trained on, of the embedding that one map of 500 episodes gives for all."
 )
 
 
