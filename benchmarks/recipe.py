@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 
 from benchmarks.common import RESULTS
 from ear_jax import records
-from ear_jax.report.figures import COLOURS, STYLE
+from ear_jax.report.figures import COLOURS, STYLE, legend_below
 from experiments.report import documents
 from experiments.report.blocks import Table
 from experiments.report.markdown import table
@@ -29,11 +29,12 @@ LINES = ("-", "--", ":", "-.")
 
 
 def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """Return against updates, a line a trial; the shorter ones in grey."""
+    """Return against updates, the median of five evaluations, a line a trial; the shorter ones in grey."""
     last = [row["curve"][-1][0] for row in rows]
     shown = [row for row, updates in zip(rows, last, strict=True) if updates >= 0.45 * max(last)]
     for row in rows:
         updates, _, _, returns = np.array(row["curve"]).T
+        returns = _median_of_five(returns)
         if row in shown:
             index = shown.index(row)
             style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)], "zorder": 3}
@@ -42,8 +43,14 @@ def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
             axes.plot(updates / 1000, returns, color="0.7", linewidth=0.8)
     if len(shown) < len(rows):
         axes.plot([], [], color="0.7", linewidth=0.8, label="shorter")
-    axes.set(xlabel="updates (thousands)", ylabel="return, mean over tasks", title=rows[0]["family"], ylim=_upper(rows))
-    axes.legend(frameon=False, fontsize=7)
+    axes.set(xlabel="updates (thousands)", ylabel="return, mean over tasks", ylim=_upper(rows))
+    axes.set_title(NAMES[rows[0]["family"]])
+    legend_below(axes, 2)
+
+
+def _median_of_five(values: np.ndarray) -> np.ndarray:
+    """Of each value and its two neighbours on either side; at the ends of those there are."""
+    return np.array([np.median(values[max(0, index - 2) : index + 3]) for index in range(len(values))])
 
 
 def _upper(rows: list[dict[str, Any]]) -> tuple[float, float]:
@@ -71,7 +78,7 @@ def main(picture: Path = PICTURE) -> None:
     documents.put(DOCUMENT, PLACE, trials(rows))
     families = list(dict.fromkeys(row["family"] for row in rows))
     with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(1, len(families), figsize=(4.4 * len(families), 4.4), layout="constrained")
+        figure, grid = plt.subplots(1, len(families), figsize=(4.4 * len(families), 4.8), layout="constrained")
         for axes, family in zip(np.atleast_1d(grid), families, strict=True):
             draw(axes, [row for row in rows if row["family"] == family])
         figure.savefig(picture)
