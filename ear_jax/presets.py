@@ -52,7 +52,8 @@ FAMILY_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("paper", "walker-vel"): _PAPER_LEGGED,
     ("paper", "ant-dir"): {"epochs": 10_000, "sac": {"batch_size": 1920}, "replay": {"capacity": 1_200_000}},
     # The last 100 epochs, as of the others. Of those a 24th are a task's own, too few to learn speed in its direction.
-    ("fast", "ant-dir"): {"replay": {"capacity": 480_000, "own_share": 0.5}},
+    # And the ant is the same from four sides and in a mirror: each step shows eight, and no direction goes its own way.
+    ("fast", "ant-dir"): {"replay": {"capacity": 480_000, "own_share": 0.5, "symmetry": True}},
     # Their step is 8 ms, a sixth of the others': at 0.98 nothing past 0.4 s, less than a hop, would count.
     # The lesser of two critics holds it back from hopping: most seeds learn to run while they sink, and fall.
     ("fast", "hopper-vel"): {"sac": {"discount": 0.99, "pessimism": 0.0}},
