@@ -83,8 +83,10 @@ def said_of_commands() -> list[str]:
     ]
 
 
-def test_readme_says_what_the_records_say():
-    assert documents.read(readme.README, readme.PLACE) == readme.results(Found("fast"))
+def test_readme_and_results_say_what_the_records_say():
+    found = Found("fast")
+    assert documents.read(readme.README, readme.PLACE) == readme.results(found)
+    assert documents.read(readme.DETAILS, readme.PLACE) == readme.details(found)
 
 
 @pytest.mark.parametrize(

@@ -78,18 +78,24 @@ def test_the_committed_records_are_reported_without_jax(tmp_path):
     assert page.images
 
 
-def test_readme_is_rewritten_between_its_markers_alone(place, monkeypatch, capsys):
+def test_documents_are_rewritten_between_their_markers_alone(place, monkeypatch, capsys):
     record()
-    monkeypatch.setattr(readme, "README", place / "README.md")
-    readme.README.write_text("before\n<!-- results -->\nold\n<!-- /results -->\nafter\n")
-    assert main(["report", "--readme"]) == 0
-    text = readme.README.read_text()
-    assert (text.startswith("before\n"), text.endswith("\nafter\n"), "old" in text) == (True, True, False)
-    assert "−195.5 (1 seed; 40.0 min, 800,000 env steps, 80,000 updates)" in text
-    assert main(["report", "--readme"]) == 0
-    assert readme.README.read_text() == text
-    readme.README.write_text("nothing")
-    assert main(["report", "--readme"]) == 1
+    documents = {name: place / f"{name}.md" for name in ("README", "DETAILS")}
+    for name, path in documents.items():
+        monkeypatch.setattr(readme, name, path)
+        path.write_text("before\n<!-- results -->\nold\n<!-- /results -->\nafter\n")
+    assert main(["report", "--docs"]) == 0
+    assert capsys.readouterr().out.split() == [str(path) for path in documents.values()]
+    texts = [path.read_text() for path in documents.values()]
+    for text in texts:
+        assert (text.startswith("before\n"), text.endswith("\nafter\n"), "\nold\n" in text) == (True, True, False)
+    assert "| HalfCheetah-Vel | −195.5 (1 seed) | −136.9 ± 1.29 | — (26 of 27) | — (25 of 27) | — | 40 |" in texts[0]
+    assert "HalfCheetah-Vel 800,000 (10 %) and 80,000 (10 %)." in texts[0]
+    assert "## Table 18: 1:1 interpolation, Ant-Dir" in texts[1]
+    assert main(["report", "--docs"]) == 0
+    assert [path.read_text() for path in documents.values()] == texts
+    documents["README"].write_text("nothing")
+    assert main(["report", "--docs"]) == 1
     assert "has no place for the results" in capsys.readouterr().err
 
 

@@ -29,6 +29,7 @@ WHY = (
     "OHE-SAC: in the authors' code the replay holds zeros in place of the one-hot, so the paper's row is that of a "
     "policy that does not know its task. Ours sees its one-hot; `onehot-blind` is trained with zeros for comparison.",
     "Ant-Dir: the paper's text has a penalty on lateral speed of weight 1; the released code has 0, and so have we.",
+    "Ant-Dir: `fast` trains on transitions turned by quarters and mirrored too; the paper does not.",
     "Run-Jump: the paper's jump is the height of the hind foot, running backward; the code has the torso, forward. "
     "We follow the paper.",
     "MHMT-SAC: the authors' code ignores terminations for this agent alone; here they end the value, as for all.",
