@@ -175,9 +175,9 @@ def _train_blocks(
     """Blocks of epochs until the run is finished or asked to stop: train, evaluate, write, maybe save."""
     config, keys = program.config, train.seed_keys(program.config)
     epoch, blocks = int(state.epoch[0]), 0
-    last = request.signal is not None
-    if not last and _finished(config, epoch, clock()):
-        raise RunError(f"--minutes {config.minutes:g} were over before the first epoch; nothing was trained")
+    last = _finished(config, epoch, clock()) or request.signal is not None
+    if last and request.signal is None and epoch < config.epochs:
+        raise RunError(f"--minutes {config.minutes:g} were over before anything was trained; give more to go on")
     with TrainingBar(epoch, config.epochs) as bar:
         while not last:
             block_began = time.perf_counter()

@@ -118,8 +118,10 @@ def test_what_another_process_did_until_just_now_is_kept(tiny, run_directory, mo
 
 def test_minutes_stop_a_run_and_more_continue_it(tiny, run_directory):
     short = dataclasses.replace(tiny, minutes=0.0001, epochs=6)
-    train_run(short, run_directory)
-    # Setting up took longer than that already: nothing is trained, and what stands there can be continued.
+    # Setting up takes longer than that already: nothing is trained, and what stands there can be continued.
+    with pytest.raises(RunError, match=r"--minutes 0.0001 were over before anything was trained; give more to go on"):
+        train_run(short, run_directory)
+    assert records.read_rows(run_directory / "metrics.jsonl") == []
     train_run(dataclasses.replace(short, minutes=None), run_directory)
     assert records.read_rows(run_directory / "metrics.jsonl")[-1]["epoch"] == 6
 
@@ -174,9 +176,3 @@ def test_fifty_short_runs_of_the_callback_engine_do_not_deadlock():
 def test_many_runs_in_one_process_do_not_deadlock():
     for _ in range(50):
         jax.block_until_ready(state_after(tiny_config(), 1))
-
-
-def test_minutes_that_are_over_before_anything_is_trained_are_an_error(run_directory):
-    with pytest.raises(RunError, match=r"--minutes 0.0001 were over before the first epoch; nothing was trained"):
-        train_run(tiny_config(minutes=0.0001), run_directory)
-    assert records.read_rows(run_directory / "metrics.jsonl") == []
