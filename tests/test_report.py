@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 
 from made_up import SPEEDS, add, add_pairs, cells, record, section
@@ -186,3 +187,18 @@ def test_what_is_said_of_the_code_is_so():
     assert f"between {low:g} and {high:g} meets the value midway, to {100 * interpolate.REACHED:g} %" in table.caption
     assert f"we take {100 * interpolate.REACHED:g} % of the distance" in " ".join(comparison.WHY)
     assert isinstance(comparison.comparison(Found("fast")), Section)
+
+
+def test_a_goal_is_reached_within_five_centimetres(place):
+    directory = record("reach")
+    made = json.loads((directory / "config.json").read_text())
+    goals = {"goal-0": (0.1, 0.85, 0.175), "goal-36": (0.0, 0.85, 0.3)}
+    tasks = [{"name": name, "target": 0.0, "params": dict(zip("xyz", at, strict=True))} for name, at in goals.items()]
+    records.write_json(directory / "config.json", {**made, "tasks": tasks})
+    reached = [{"x": 0.1, "y": 0.81, "z": 0.205}, {"x": 0.0, "y": 0.85, "z": 0.36}]  # a 3-4-5 triangle, and 6 cm above
+    found = [
+        {"name": name, "target": 0.0, "return_mean": 1.0, "failures": 0, "outcome": outcome}
+        for name, outcome in zip(goals, reached, strict=True)
+    ]
+    add(directory, "evaluation", seeds=[{"seed": 0, "tasks": found}])
+    assert "| EAR-SAC | 1 of 2 | 5.5 | 6.0 |" in section("reach", place / "out")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -57,6 +58,17 @@ def failed_tasks(runs: Sequence[Run]) -> Count | None:
         return [task["failures"] > 0 for task in tasks if "failures" in task]
 
     return _counted({run.seed: failed(run) for run in runs})
+
+
+def goal_distances(run: Run) -> list[float]:
+    """Of each goal of Metaworld-Reach, how far from it the fingertips were over the second half, in metres: of their
+    mean place; empty without an evaluation."""
+    goals = {task["name"]: task["params"] for task in run.made["tasks"]}
+    return [
+        math.dist(*([place[axis] for axis in "xyz"] for place in (goals[task["name"]], task["outcome"])))
+        for one in run.of_seed("evaluation", "seeds")
+        for task in one["tasks"]
+    ]
 
 
 def _counted(of_seeds: dict[int, list[bool]]) -> Count | None:

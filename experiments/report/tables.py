@@ -10,6 +10,7 @@ from experiments.report.found import Found, Run
 from experiments.report.measures import (
     Count,
     failed_tasks,
+    goal_distances,
     mean_return,
     paper_budget,
     paper_counts,
@@ -69,10 +70,24 @@ def reach(found: Found) -> list[Block]:
     )
     returned = [_method_returns(method, found.of(method), runs) for method in methods]
     blended = [[name, share(runs, successes(runs, what))] for what, name in MEASURES.items()]
+    reached = [_goals_reached(label(method), found.of(method)) for method in methods]
     return [
         Table(caption, ("method", "paper", *HEADS), returned),
+        Table(
+            "Goals within 5 cm of the fingertips' mean place in the second half of episodes, and how far it is off.",
+            ("method", "goals", "cm, mean", "cm, worst"),
+            reached,
+        ),
         Table(f"{INTERPOLATED} The value is an angle, on the ellipse of goals.", ("measure", "ours"), blended),
     ]
+
+
+def _goals_reached(name: str, runs: Sequence[Run]) -> list[str]:
+    off = [distance for run in runs for distance in goal_distances(run)]
+    if not off:
+        return [name, lack(runs), MISSING, MISSING]
+    within = sum(distance <= 0.05 for distance in off)  # where Meta-World's reward is full, and its success
+    return [name, f"{within} of {len(off)}", number(100 * sum(off) / len(off)), number(100 * max(off))]
 
 
 def _family_returns(found: Found, family: str, methods: list[Method]) -> Table:
