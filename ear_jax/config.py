@@ -206,20 +206,20 @@ def check(config: Config, tasks: int) -> None:
     for name, minimum in _MINIMA.items():
         value = _setting(config, name)
         if value is not None and not value >= minimum:
-            raise UsageError(f"{_flag(name)} {value} is too small; it must be at least {minimum}")
+            raise UsageError(f"{flag(name)} {value} is too small; it must be at least {minimum}")
     for name, (low, high) in _RANGES.items():
         value = _setting(config, name)
         if not low < value <= high:
-            raise UsageError(f"{_flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
+            raise UsageError(f"{flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
     if config.seed + config.seeds > MAX_SEED:
         raise UsageError(f"--seed {config.seed} is too large; the last seed must be below {MAX_SEED}")
     for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
-            raise UsageError(f"{_flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
+            raise UsageError(f"{flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
     if config.agent == "ear-rnn":
         for name in ("network.encoder_layers", "network.decoder_layers"):
             if _setting(config, name) < 1:
-                raise UsageError(f"{_flag(name)} 0 is too small for ear-rnn, whose first layer is its RNN")
+                raise UsageError(f"{flag(name)} 0 is too small for ear-rnn, whose first layer is its RNN")
     if config.agent == "maml":  # which neither replays nor draws batches
         if config.sac.updates != 1:
             raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update an epoch")
@@ -273,7 +273,8 @@ _RANGES: dict[str, tuple[float, float]] = {
 }
 
 
-def _flag(name: str) -> str:
+def flag(name: str) -> str:
+    """A setting as it is written on the command line."""
     return "--" + name.replace("_", "-")
 
 

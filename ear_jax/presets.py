@@ -5,7 +5,7 @@ from __future__ import annotations
 from fnmatch import fnmatch
 from typing import Any
 
-from ear_jax.config import Config, flat, from_dict
+from ear_jax.config import Config, flag, flat, from_dict
 from ear_jax.errors import UsageError, unknown
 
 # The defaults are the paper's for HalfCheetah-Vel.
@@ -127,8 +127,7 @@ def check_effect(config: Config) -> None:
     preset, mine = flat(preset_config(config.family, config.preset, config.agent)), flat(config)
     for name, value in mine.items():
         if value != preset[name] and any(fnmatch(name, unread) for unread in UNREAD.get(config.agent, ())):
-            flag = "--" + name.replace("_", "-")
-            raise UsageError(f"{flag} {value} would change nothing: agent {config.agent!r} has no use for it")
+            raise UsageError(f"{flag(name)} {value} would change nothing: agent {config.agent!r} has no use for it")
 
 
 def preset_config(family: str, preset: str, agent: str = "ear") -> Config:

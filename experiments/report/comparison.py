@@ -70,9 +70,7 @@ def _verdicts(found: Found, family: str) -> Iterator[Verdict]:
     runs, paper = found.runs(family), paper_return(family, "ear")
     if not runs or not paper:
         return
-    returns = [mean_return(run) for run in runs]
-    enough = bool(np.mean(returns) >= paper["mean"] - paper["std"])
-    yield enough, f"{NAMES[family]}, return: {spread(returns)} ({seeds(runs)}); the paper {printed(paper)}."
+    yield _return_verdict(NAMES[family], runs, paper)
     for what, words in MEASURES.items():
         counted, theirs = successes(runs, what), paper_counts(family, what)
         if counted:
@@ -94,10 +92,13 @@ def _baselines(found: Found) -> Iterator[Verdict]:
     for method in EXPERIMENTS["table-1"].methods:
         runs, paper = found.of(method), paper_return(method.family, method.agent)
         if method.agent != "ear" and runs and paper:
-            returns = [mean_return(run) for run in runs]
-            enough = bool(np.mean(returns) >= paper["mean"] - paper["std"])
-            said = f"{spread(returns)} ({seeds(runs)}); the paper {printed(paper)}."
-            yield enough, f"{NAMES[method.family]}, {label(method)}, return: {said}"
+            yield _return_verdict(f"{NAMES[method.family]}, {label(method)}", runs, paper)
+
+
+def _return_verdict(of: str, runs: list[Run], paper: dict[str, float]) -> Verdict:
+    returns = [mean_return(run) for run in runs]
+    enough = bool(np.mean(returns) >= paper["mean"] - paper["std"])
+    return enough, f"{of}, return: {spread(returns)} ({seeds(runs)}); the paper {printed(paper)}."
 
 
 def _budgets(found: Found) -> Iterator[str]:
