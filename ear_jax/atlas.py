@@ -44,9 +44,8 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[Atla
     Raises:
       UsageError: an agent without LTEs, or whose LTEs do not lie on a sphere.
     """
+    check_sphere(trained)
     program = trained.program
-    if program.agent.embed is None or not program.agent.on_sphere:
-        raise UsageError(f"agent {program.config.agent} of preset {program.config.preset} has no sphere of LTEs to map")
     codes = spread(places, program.agent.code_size)
 
     def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, Outcome]:
@@ -58,6 +57,15 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[Atla
         Atlas(codes, reached[index], {name: value[index] for name, value in late.items()})
         for index in range(program.config.seeds)
     ]
+
+
+def check_sphere(trained: Trained, size: int | None = None) -> None:
+    """Raises UsageError unless a run's codes are LTEs that lie on a sphere, in `size` dimensions where that matters."""
+    config, agent = trained.program.config, trained.program.agent
+    if agent.embed is None or not agent.on_sphere:
+        raise UsageError(f"agent {config.agent} of preset {config.preset} has no sphere of LTEs to map")
+    if size not in (None, agent.code_size):
+        raise UsageError(f"this run's codes have {agent.code_size} numbers; only a sphere of {size} can be drawn")
 
 
 def describe(trained: Trained, atlases: list[Atlas]) -> dict[str, Any]:

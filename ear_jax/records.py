@@ -25,7 +25,26 @@ PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "o
 
 def write_json(path: Path, document: Any) -> None:
     """Writes a document whole or not at all; raises RunError where it cannot be written."""
-    _write(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Beside its place and then into it; a link planted under either name is replaced, not followed.
+
+    Raises:
+      RunError: it cannot be written.
+    """
+    scratch = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        scratch.unlink(missing_ok=True)
+        with scratch.open("x", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(scratch, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            scratch.unlink(missing_ok=True)
+        raise RunError(f"cannot write {path}: {error.strerror}") from None
 
 
 def folder(path: Path) -> Path:
@@ -82,7 +101,7 @@ def keep_rows(path: Path, last_epoch: int) -> None:
     """Forgets rows past an epoch, which a resumed run will write again, and a torn one."""
     if path.exists():
         kept = [row for row in read_rows(path) if row["epoch"] <= last_epoch]
-        _write(path, "".join(json.dumps(row) + "\n" for row in kept))
+        write_text(path, "".join(json.dumps(row) + "\n" for row in kept))
 
 
 def provenance() -> dict[str, Any]:
@@ -124,21 +143,6 @@ def commit() -> str | None:
         return git("rev-parse", "--short=12", "HEAD") + ("+changes" if changed else "")
     except (OSError, subprocess.SubprocessError):
         return None
-
-
-def _write(path: Path, text: str) -> None:
-    """Beside its place and then into it; a link planted under either name is replaced, not followed."""
-    scratch = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        scratch.unlink(missing_ok=True)
-        with scratch.open("x") as file:
-            file.write(text)
-        os.replace(scratch, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            scratch.unlink(missing_ok=True)
-        raise RunError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _processor() -> str:

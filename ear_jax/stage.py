@@ -48,7 +48,7 @@ class Limbs:
 
 
 def limbs(model: mujoco.MjModel, qpos: np.ndarray) -> Limbs:
-    """The limbs in poses [poses, nq]; what is neither capsule nor cylinder becomes a ball of its bounding radius.
+    """The limbs in poses [poses, nq], each as the capsule that its bounding box would hold, which of one is itself.
 
     Raises:
       UsageError: a model without shapes.
@@ -56,15 +56,17 @@ def limbs(model: mujoco.MjModel, qpos: np.ndarray) -> Limbs:
     data, robot = mujoco.MjData(model), _robot(model)
     if not len(robot):
         raise UsageError("there is nothing to draw: the model has no shapes that move")
-    long = np.isin(model.geom_type[robot], (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_CYLINDER))
-    half = np.where(long, model.geom_size[robot, 1], 0.0)[:, None]
+    middle, halves = np.split(model.geom_aabb[robot], 2, axis=1)  # [limbs, 3] each, along the shape's own axes
+    longest = halves.argmax(1)
+    radii = (halves.sum(1) - halves.max(1)) / 2
+    along = np.eye(3)[longest] * (halves.max(1) - radii)[:, None]
     ends = []
     for pose in qpos:
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
-        centre, along = data.geom_xpos[robot], half * data.geom_xmat[robot][:, 2::3]
-        ends.append(np.stack([centre - along, centre + along], axis=1))
-    return Limbs(np.array(ends), np.where(long, model.geom_size[robot, 0], model.geom_rbound[robot]))
+        turned = data.geom_xmat[robot].reshape(-1, 1, 3, 3) @ np.stack([middle - along, middle + along], 1)[..., None]
+        ends.append(data.geom_xpos[robot][:, None] + turned[..., 0])
+    return Limbs(np.array(ends), radii)
 
 
 def way_of(model: mujoco.MjModel) -> Way:

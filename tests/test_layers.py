@@ -39,7 +39,7 @@ LAYERS = [
     {"trained"},
     {"evaluate", "trajectory"},
     {"atlas", "interpolate", "sensing", "render", "estimate", "search"},
-    {"adapt", "compose"},
+    {"adapt", "compose", "explore"},
     {"run"},
     {"cli"},
 ]

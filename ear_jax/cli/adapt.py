@@ -11,7 +11,7 @@ from rich.table import Table
 
 from ear_jax import ltes, records
 from ear_jax.adapt import adapt
-from ear_jax.cli.arguments import check_finite, parse
+from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
@@ -46,9 +46,7 @@ class AdaptCommand(OnRun):
 
 def main(words: list[str]) -> None:
     command = parse(AdaptCommand, words, "adapt")
-    for name in ("epochs", "elites", "episodes"):
-        if getattr(command, name) < 1:
-            raise UsageError(f"--{name} {getattr(command, name)} is too small; it must be at least 1")
+    check_least(command, epochs=1, elites=1, episodes=1)
     check_finite("--sigma", command.sigma)
     if command.samples < 0 or not command.sigma > 0:
         raise UsageError("--samples must be at least 0 and --sigma above 0")

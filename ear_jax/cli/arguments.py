@@ -49,6 +49,13 @@ def check_finite(flag: str, *values: float) -> None:
         raise UsageError(f"{flag} {' '.join(f'{value:g}' for value in values)} is out of range; it must be finite")
 
 
+def check_least(command: Any, **least: int) -> None:
+    """Raises UsageError unless the settings named are at least so large."""
+    for name, limit in least.items():
+        if (value := getattr(command, name)) < limit:
+            raise UsageError(f"--{name} {value} is too small; it must be at least {limit}")
+
+
 def _one_line(box: str, command: str) -> str:
     """What tyro says first in its box, below the title, and the first setting it proposes."""
     # The frame is of other characters, or blank, where the terminal cannot show it.

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ear_jax import records
-from ear_jax.cli.arguments import check_finite, parse
+from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.interpolate import find_end
 from ear_jax.cli.on_run import OnRun
 from ear_jax.compose import BETAS, compose
@@ -33,8 +33,7 @@ class ComposeCommand(OnRun):
 
 def main(words: list[str]) -> None:
     command = parse(ComposeCommand, words, "compose")
-    if command.steps < 2:
-        raise UsageError(f"--steps {command.steps} is too small; it must be at least 2")
+    check_least(command, steps=2)
     if not command.beta:
         raise UsageError("--beta needs numbers, as in 1 0.5 0")
     check_finite("--beta", *command.beta)

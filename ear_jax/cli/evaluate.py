@@ -12,9 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ear_jax import ltes, records
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.errors import UsageError
 from ear_jax.evaluate import evaluate, evaluate_code
 from ear_jax.report.figures import draw_run
 
@@ -31,8 +30,7 @@ class EvaluateCommand(OnRun):
 
 def main(words: list[str]) -> None:
     command = parse(EvaluateCommand, words, "evaluate")
-    if command.episodes < 1:
-        raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
+    check_least(command, episodes=1)
     trained = command.load()
     if command.lte:
         seeds, size = trained.program.config.seeds, trained.program.agent.code_size

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ear_jax import ltes, records
-from ear_jax.cli.arguments import check_finite, parse
+from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
@@ -50,8 +50,7 @@ def main(words: list[str]) -> None:
     check_finite("--beta", *command.beta)
     if command.target is not None:
         check_finite("--target", command.target)
-    if command.episodes < 1:
-        raise UsageError(f"--episodes {command.episodes} is too small; it must be at least 1")
+    check_least(command, episodes=1)
     trained = command.load()
     family = trained.program.family
     neighbours = adjacent_pairs(trained_ends(trained), family)

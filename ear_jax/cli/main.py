@@ -17,6 +17,7 @@ COMMANDS = {
     "compose": ("ear_jax.cli.compose", "do two tasks of different kinds at once"),
     "adapt": ("ear_jax.cli.adapt", "find the codes of tasks never trained on"),
     "map": ("ear_jax.cli.map", "draw what every place on the sphere of codes does"),
+    "explore": ("ear_jax.cli.explore", "make a page on which you steer the robot by pointing at that sphere"),
     "lse": ("ear_jax.cli.lse", "compare the state embedding along a gait with the raw state"),
     "render": ("ear_jax.cli.render", "film a policy, and draw the robot's way as a stop-motion strip"),
     "export": ("ear_jax.cli.export", "write a run's policy to one file that loads anywhere"),

@@ -6,10 +6,9 @@ import json
 from dataclasses import dataclass
 
 from ear_jax import records
-from ear_jax.atlas import describe, survey
-from ear_jax.cli.arguments import parse
+from ear_jax.atlas import check_sphere, describe, survey
+from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.errors import UsageError
 from ear_jax.report.maps import draw_map
 from ear_jax.terminal import phase
 
@@ -26,12 +25,9 @@ class MapCommand(OnRun):
 
 def main(words: list[str]) -> None:
     command = parse(MapCommand, words, "map")
-    for name, least in (("places", 10), ("episodes", 1)):
-        if getattr(command, name) < least:
-            raise UsageError(f"--{name} {getattr(command, name)} is too small; it must be at least {least}")
+    check_least(command, places=10, episodes=1)
     trained = command.load()
-    if (size := trained.program.agent.code_size) != 3:
-        raise UsageError(f"this run's codes have {size} numbers; only a sphere of 3 can be drawn")
+    check_sphere(trained, 3)
     with phase(f"rolling out {command.places} LTEs"):
         document = describe(trained, survey(trained, command.places, command.episodes, command.seed))
     records.write_json(trained.directory / "map.json", {**document, **records.provenance()})

@@ -35,3 +35,18 @@ class OnRun:
             raise UsageError(f"--seed {self.seed} is out of range; it must be from 0 to {MAX_SEED - 1}")
         enable_cache()
         return load(self.run, self.family, self.engine)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnPolicy(OnRun):
+    """What a command takes besides that shows one of a run's policies."""
+
+    policy: int = 0
+    """Of a run of several seeds, whose policy: 0 is the first."""
+
+    def load(self) -> Trained:
+        """The run; raises as `OnRun.load` does, and UsageError for a policy that it does not have."""
+        trained = super().load()
+        if not 0 <= self.policy < (seeds := trained.program.config.seeds):
+            raise UsageError(f"--policy {self.policy} is none of the run's: it has {seeds}, and the first is 0")
+        return trained

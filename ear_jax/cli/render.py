@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax import ltes, records
-from ear_jax.cli.arguments import check_finite, parse
-from ear_jax.cli.on_run import OnRun
+from ear_jax.cli.arguments import check_finite, check_least, parse
+from ear_jax.cli.on_run import OnPolicy
 from ear_jax.envs import Family, find_task
 from ear_jax.errors import RunError, UsageError
 from ear_jax.interpolate import between
@@ -30,7 +30,7 @@ BETAS = (0.75, 0.5, 0.25)
 
 
 @dataclass(frozen=True, kw_only=True)
-class RenderCommand(OnRun):
+class RenderCommand(OnPolicy):
     """Show what the policy does under tasks it was trained on, under a code, or between two tasks."""
 
     task: tuple[str, ...] = ()
@@ -47,8 +47,6 @@ class RenderCommand(OnRun):
     """GIF and MP4 beside the strip; --no-film leaves them out, which take most of the time."""
     steps: int = 100
     """Environment steps, as many as in the paper's figure 3."""
-    policy: int = 0
-    """Of a run of several seeds, whose policy: 0 is the first."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +61,7 @@ def main(words: list[str]) -> None:
     command = parse(RenderCommand, words, "render")
     _check(command)
     trained = command.load()
-    program, seeds = trained.program, trained.program.config.seeds
-    if not 0 <= command.policy < seeds:
-        raise UsageError(f"--policy {command.policy} is none of the run's: it has {seeds}, and the first is 0")
+    program = trained.program
     policy = jax.tree.map(lambda leaf: leaf[command.policy], trained.policies)
     scenes = _scenes(command, trained, policy)
     with phase("rolling out"):
@@ -100,8 +96,7 @@ def _check(command: RenderCommand) -> None:
         raise UsageError("say one of --task X, --lte x y z and --interpolate A B")
     if command.beta and not command.interpolate:
         raise UsageError("--beta goes with --interpolate A B alone")
-    if command.steps < 1:
-        raise UsageError(f"--steps {command.steps} is too small; it must be at least 1")
+    check_least(command, steps=1)
     check_finite("--beta", *command.beta)
 
 

@@ -30,15 +30,15 @@ def draw_map(figures: Path, document: dict[str, Any]) -> list[Path]:
     ]
 
 
-def _colours(achieved: list[float], commanded: dict[str, Any]) -> tuple[Colormap, Normalize]:
-    """Speeds on a scale from the least to the most; what wraps on a circle of colours."""
+def colours(achieved: list[float], commanded: dict[str, Any]) -> tuple[Colormap, Normalize]:
+    """What a map is coloured by: speeds from the least to the most; what wraps on a circle of colours."""
     if commanded["period"] is not None:
         return plt.get_cmap("twilight"), Normalize(0, commanded["period"])
     return plt.get_cmap("viridis"), Normalize(min(achieved), max(achieved))
 
 
 def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Path:
-    colours, scale = _colours(one["achieved"], commanded)
+    shades, scale = colours(one["achieved"], commanded)
     places, trained = np.array(one["ltes"]), np.array([task["lte"] for task in one["trained"]])
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(7.0, 3.4))
@@ -48,7 +48,7 @@ def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> 
             toward = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
             labels = trained + 0.17 * _across(trained, toward)
             seen = places @ toward > 0  # the far side is the other view's
-            shown = axes.scatter(*places[seen].T, c=np.array(one["achieved"])[seen], cmap=colours, norm=scale, s=14)
+            shown = axes.scatter(*places[seen].T, c=np.array(one["achieved"])[seen], cmap=shades, norm=scale, s=14)
             for task, code, label in zip(one["trained"], trained, labels, strict=True):
                 if code @ toward > 0:
                     axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4)
@@ -70,12 +70,12 @@ def _across(codes: np.ndarray, toward: np.ndarray) -> np.ndarray:
 
 
 def _draw_flat(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Path:
-    colours, scale = _colours(one["achieved"], commanded)
+    shades, scale = colours(one["achieved"], commanded)
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(6.2, 3.2))
         axes: Axes = figure.add_subplot(projection="mollweide")
         longitude, latitude = _angles(np.array(one["ltes"]))
-        shown = axes.scatter(longitude, latitude, c=one["achieved"], cmap=colours, norm=scale, s=12, linewidths=0)
+        shown = axes.scatter(longitude, latitude, c=one["achieved"], cmap=shades, norm=scale, s=12, linewidths=0)
         for task in one["trained"]:
             where = _angles(np.array([task["lte"]]))
             axes.scatter(*where, color="white", edgecolor="black", s=28, zorder=4)

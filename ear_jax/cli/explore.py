@@ -1,0 +1,37 @@
+"""`ear explore RUN`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+from ear_jax.cli.arguments import check_least, parse
+from ear_jax.cli.on_run import OnPolicy
+from ear_jax.explore import play_sphere
+from ear_jax.report.explorer import write_page
+from ear_jax.terminal import phase
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExploreCommand(OnPolicy):
+    """Make a page on which you point at the sphere of codes and see what the robot does there. It needs no network."""
+
+    places: int = 800
+    """Codes."""
+    steps: int = 200
+    """Environment steps under each, of which the page shows the second half."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(ExploreCommand, words, "explore")
+    check_least(command, places=10, steps=8)
+    trained = command.load()
+    seed = trained.program.config.seed + command.policy
+    with phase(f"rolling out {command.places} LTEs"):
+        document, loops = play_sphere(trained, command.policy, command.places, command.steps, command.seed)
+    title = f"{trained.program.family.name}: one policy, every task embedding"
+    path = write_page(trained.directory / f"explore_seed{seed}.html", {"title": title, **document}, loops)
+    if command.json:
+        print(json.dumps({"seed": seed, **document, "page": str(path)}))
+    else:
+        print(f"{path}: open it in a browser")
