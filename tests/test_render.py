@@ -106,6 +106,20 @@ def test_limbs_are_the_models_capsules(cheetah):
     assert seen.radii[0] == pytest.approx(0.046)
 
 
+def test_other_shapes_are_capsules_along_their_longest_side():
+    """A box of 0.2 × 0.4 × 1.0 m, lying along x after a quarter turn about y, and a ball, both 2 m up."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body pos="0 0 2"><freejoint/>
+        <geom type="box" size="0.1 0.2 0.5" euler="0 90 0"/><geom type="sphere" size="0.3"/>
+        </body></worldbody></mujoco>"""
+    )
+    seen = limbs(model, model.qpos0[None])
+    np.testing.assert_allclose(seen.radii, [0.15, 0.3])
+    box, ball = seen.ends[0]
+    np.testing.assert_allclose(box[np.argsort(box[:, 0])], [[-0.35, 0, 2], [0.35, 0, 2]], atol=1e-9)
+    np.testing.assert_allclose(ball, [[0, 0, 2], [0, 0, 2]], atol=1e-9)
+
+
 def test_a_model_without_shapes_is_refused():
     arm = load_arm()
     with pytest.raises(UsageError, match=r"^there is nothing to draw"):

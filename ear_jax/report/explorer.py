@@ -28,7 +28,7 @@ class Loop:
 
 
 def write_page(path: Path, document: dict[str, Any], loops: Sequence[Loop]) -> Path:
-    """Writes the page, all in one file: 1 to 3 MB for 800 codes.
+    """Writes the page, all in one file, a few megabytes at most for 800 codes.
 
     Args:
       path: where to.
