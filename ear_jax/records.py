@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,7 @@ def provenance() -> dict[str, Any]:
     return {
         "machine": {
             "processor": _processor(),
+            **({"accelerator": name} if (name := _accelerator()) else {}),
             "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
             "system": f"{platform.system()} {platform.machine()}",
             "python": platform.python_version(),
@@ -143,6 +145,14 @@ def commit() -> str | None:
         return git("rev-parse", "--short=12", "HEAD") + ("+changes" if changed else "")
     except (OSError, subprocess.SubprocessError):
         return None
+
+
+def _accelerator() -> str | None:
+    """What JAX runs on, where it is no CPU; whoever has not imported JAX has used none."""
+    jax = sys.modules.get("jax")
+    if jax is None or jax.default_backend() == "cpu":
+        return None
+    return jax.local_devices()[0].device_kind
 
 
 def _processor() -> str:

@@ -35,7 +35,8 @@ class MjxEngine:
         data = self._blank.replace(qpos=physics.qpos, qvel=physics.qvel, qacc_warmstart=physics.warmstart, ctrl=action)
         if physics.mocap is not None:
             data = data.replace(mocap_pos=physics.mocap)
-        data, _ = jax.lax.scan(lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps)
+        with jax.default_matmul_precision("highest"):  # a GPU's default would round its operands to 10 bits
+            data, _ = jax.lax.scan(lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps)
         after = Physics(data.qpos, data.qvel, data.qacc_warmstart, physics.mocap)
         return Motion(physics, action, after, self._positions(data.qpos))
 

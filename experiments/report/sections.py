@@ -108,6 +108,8 @@ def facts(run: Run) -> list[str]:
 def machine(run: Run) -> str:
     """What trained a run."""
     where = run.made["machine"]
+    if "accelerator" in where:
+        return where["accelerator"]
     return f"{where['processor']}, {where['cores']} core{'s'[: where['cores'] > 1]}"
 
 
