@@ -161,7 +161,8 @@ class Config:
 def run_name(config: Config) -> str:
     """What a run's directory is called unless its user names it; of path/to/file.py:ClassName, the class."""
     family = config.family.rpartition(":")[2].lower()
-    return f"{family}-{config.agent}-{config.preset}-seed{config.seed}"
+    several = f"s{config.seed}-{config.seed + config.seeds - 1}"
+    return f"{family}-{config.agent}-{config.preset}-seed{config.seed if config.seeds == 1 else several}"
 
 
 def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> Any:

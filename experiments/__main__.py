@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import tyro
 from rich.console import Console
@@ -15,7 +16,7 @@ from ear_jax.stopping import Stopped
 from ear_jax.terminal import say
 from experiments.inventory import is_trained, jobs, missing
 from experiments.paper import EXPERIMENTS
-from experiments.reproduce import make_whole, plan
+from experiments.reproduce import keep, make_whole, plan
 
 PROGRAM = "python -m experiments"
 
@@ -44,6 +45,14 @@ class ReproduceCommand:
     """Stop each run past this much wall time; by default at the preset's epochs."""
     dry_run: bool = False
     """Only say what would be run."""
+
+
+@dataclass(frozen=True)
+class KeepCommand:
+    """Make a record of a run that `ear train` made, of one seed or of several side by side."""
+
+    run: tyro.conf.Positional[Path]
+    """The run directory."""
 
 
 def list_all(words: list[str]) -> None:
@@ -85,6 +94,11 @@ def check_seeds(seeds: int | None) -> None:
         raise UsageError(f"--seeds {seeds} is too small; it must be at least 1")
 
 
+def keep_run(words: list[str]) -> None:
+    command = parse(KeepCommand, words, "keep", program=PROGRAM)
+    say(f"kept as {keep(command.run)}")
+
+
 def report(words: list[str]) -> None:
     from experiments.report import command  # imports matplotlib, which the others do without
 
@@ -97,7 +111,7 @@ def publish(words: list[str]) -> None:
     main(words)
 
 
-COMMANDS = {"list": list_all, "reproduce": reproduce, "report": report, "publish": publish}
+COMMANDS = {"list": list_all, "reproduce": reproduce, "keep": keep_run, "report": report, "publish": publish}
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ear_jax.config import Config, flat
 from ear_jax.presets import preset_config
-from experiments.inventory import Job
+from experiments.inventory import POLICY, Job
 from experiments.paper import Analysis
 
 RUNS = Path("runs")
@@ -21,21 +21,21 @@ def train_words(job: Job) -> list[str]:
     return words if config.minutes is None else [*words, "--minutes", f"{config.minutes:g}"]
 
 
-def is_recorded(job: Job) -> bool:
-    """Whether the run of that name on this machine is the one that the record is of."""
-    rows, kept = (place / "metrics.jsonl" for place in (RUNS / job.name, job.record))
+def is_copied(run: Path, record: Path) -> bool:
+    """Whether a run on this machine is the one that a record is of."""
+    rows, kept = (place / "metrics.jsonl" for place in (run, record))
     return rows.is_file() and kept.is_file() and rows.read_bytes() == kept.read_bytes()
 
 
-def export_words(job: Job) -> list[str]:
+def export_words(run: Path, record: Path) -> list[str]:
     """The `ear` command that puts a run's policy into its record."""
-    return ["export", str(RUNS / job.name), _from_here(job.policy)]
+    return ["export", str(run), _from_here(record / POLICY)]
 
 
 def analysis_words(job: Job, analysis: Analysis) -> list[str]:
     """The `ear` command that makes an analysis of a job's run or, where that is not the recorded one, of the policy."""
     run = RUNS / job.name
-    holder = _from_here(job.policy) if job.policy.is_file() and not is_recorded(job) else str(run)
+    holder = _from_here(job.policy) if job.policy.is_file() and not is_copied(run, job.record) else str(run)
     return [analysis.command, holder, *analysis.options, "--json"]
 
 

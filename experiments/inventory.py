@@ -1,7 +1,8 @@
 """What of the paper is there: the records of runs, told apart by their settings. Imports no JAX.
 
-A record is a run directory without its checkpoints: `config.json`, `metrics.jsonl`, the policy as `ear export` writes
-it, and a JSON document an analysis, with its picture where that is kept.
+A record is a run directory without its checkpoints, of one seed or of several side by side: `config.json`,
+`metrics.jsonl`, the policy as `ear export` writes it, and a JSON document an analysis, with its picture where that is
+kept.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ear_jax.presets import preset_config
 from experiments.paper import Analysis, Experiment, Method
 
 RECORDS = Path(__file__).with_name("records")
+POLICY = "policy.safetensors"
 BUDGET = ("seeds", "epochs", "minutes", "engine", "log", "checkpoint")  # settings by which a run is no other run
 
 
@@ -33,12 +35,19 @@ class Job:
 
     @property
     def record(self) -> Path:
-        return RECORDS / self.name
+        """Where it is recorded: by itself or, if it is not, with the seeds that it was trained beside."""
+        alone, method = RECORDS / self.name, self.name.removesuffix(str(self.config.seed))
+        if not alone.exists():
+            for together in sorted(RECORDS.glob(f"{method}s*-*")):
+                first, last = map(int, together.name.removeprefix(f"{method}s").split("-"))
+                if first <= self.config.seed <= last:
+                    return together
+        return alone
 
     @property
     def policy(self) -> Path:
         """Where the record has what the run has learnt."""
-        return self.record / "policy.safetensors"
+        return self.record / POLICY
 
 
 def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes: float | None = None) -> list[Job]:
@@ -67,10 +76,11 @@ def is_trained(job: Job) -> bool:
         made = from_dict(records.read_run(job.record)["config"])
     except UsageError:  # no configuration, or a setting that is no more
         return False
-    budget = {name: getattr(job.config, name) for name in BUDGET}
+    budget = {name: getattr(job.config, name) for name in (*BUDGET, "seed")}
     last, minutes = rows[-1], job.config.minutes
     spent = last["epoch"] >= job.config.epochs or (minutes is not None and last["seconds"] >= 60 * minutes)
-    return spent and dataclasses.replace(made, **budget) == job.config
+    held = range(made.seed, made.seed + made.seeds)
+    return spent and job.config.seed in held and dataclasses.replace(made, **budget) == job.config
 
 
 def missing(job: Job) -> list[Analysis]:

@@ -8,13 +8,16 @@ import shutil
 import signal
 import subprocess
 import sys
+from pathlib import Path
 from types import FrameType
 
 from ear_jax import records
+from ear_jax.config import from_dict, run_name
 from ear_jax.errors import RunError
 from ear_jax.stopping import Stopped
-from experiments.commands import RUNS, analysis_words, export_words, is_recorded, train_words
-from experiments.inventory import Job, is_trained, is_whole, missing
+from experiments import inventory
+from experiments.commands import RUNS, analysis_words, export_words, is_copied, train_words
+from experiments.inventory import POLICY, Job, is_trained, is_whole, missing
 from experiments.paper import Analysis
 
 
@@ -22,7 +25,8 @@ def plan(job: Job) -> list[str]:
     """The command lines that would make a job whole."""
     if is_whole(job):
         return []
-    training = [] if _is_kept(job) else [train_words(job), export_words(job)]
+    run, record = RUNS / job.name, inventory.RECORDS / job.name
+    training = [] if _is_kept(job) else [train_words(job), export_words(run, record)]
     return [shlex.join(["ear", *words]) for words in (*training, *(analysis_words(job, one) for one in missing(job)))]
 
 
@@ -36,8 +40,7 @@ def make_whole(job: Job) -> None:
         return
     if not _is_kept(job):
         run_ear(train_words(job))
-        keep_training(job)
-        run_ear(export_words(job))
+        keep(RUNS / job.name)
     for analysis in missing(job):
         analyse(job, analysis)
 
@@ -57,22 +60,26 @@ def _is_kept(job: Job) -> bool:
     return is_trained(job) and job.policy.is_file()
 
 
-def keep_training(job: Job) -> None:
-    """Makes the record that of the run; documents of another run of that name go.
+def keep(run: Path) -> Path:
+    """Makes a record of a run, of all its seeds together; documents of another run of that name go.
 
     Raises:
-      RunError: the run has no metrics.
+      UsageError: it is no run directory.
+      RunError: it has no metrics.
+      Stopped: as `run_ear`.
     """
-    run = RUNS / job.name
-    if is_recorded(job):
-        job.policy.unlink(missing_ok=True)  # of a process that was stopped while it wrote
-        return
+    record = inventory.RECORDS / run_name(from_dict(records.read_run(run)["config"]))
     if not (run / "metrics.jsonl").is_file():
         raise RunError(f"{run} has no metrics yet; the record stays as it is")
-    shutil.rmtree(job.record, ignore_errors=True)
-    job.record.mkdir(parents=True)
-    shutil.copyfile(run / "config.json", job.record / "config.json")
-    shutil.copyfile(run / "metrics.jsonl", job.record / "metrics.jsonl")
+    if is_copied(run, record):
+        (record / POLICY).unlink(missing_ok=True)  # of a process that was stopped while it wrote
+    else:
+        shutil.rmtree(record, ignore_errors=True)
+        record.mkdir(parents=True)
+        shutil.copyfile(run / "config.json", record / "config.json")
+        shutil.copyfile(run / "metrics.jsonl", record / "metrics.jsonl")
+    run_ear(export_words(run, record))
+    return record
 
 
 def run_ear(words: list[str]) -> str:

@@ -17,7 +17,7 @@ import pytest
 from ear_jax import records
 from ear_jax.agents import AGENTS
 from ear_jax.cli import main as ear
-from ear_jax.config import Config
+from ear_jax.config import Config, run_name
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError
 from ear_jax.presets import preset_config
@@ -235,6 +235,40 @@ def test_a_run_counts_by_its_settings_and_its_budget(workplace):
     assert not is_trained(half)
     shutil.rmtree(job.record)
     assert not is_trained(half)
+
+
+def test_seeds_trained_side_by_side_are_one_record_and_count_each(workplace):
+    wanted = jobs(EXPERIMENTS["table-15"], "fast")
+    together = dataclasses.replace(wanted[1].config, seeds=2)
+    place = inventory.RECORDS / run_name(together)
+    write_run(place, together)
+    (place / "policy.safetensors").touch()
+    assert place.name == "halfcheetah-vel-ear-fast-seeds1-2"
+    assert [is_trained(job) for job in wanted] == [False, True, True]
+    assert main(["reproduce", "table-15"]) == 0
+    analysis = f"interpolate records/{place.name}/policy.safetensors --all-pairs --json"
+    assert workplace[-1] == analysis, "of both at once"
+    assert workplace.count(analysis) == 1
+    assert all(is_whole(job) for job in wanted)
+
+
+def test_seeds_are_trained_one_by_one_where_their_record_is_of_other_settings(workplace):
+    wanted = jobs(EXPERIMENTS["table-15"], "fast", seeds=2)
+    config = wanted[0].config
+    other = dataclasses.replace(config, seeds=2, sac=dataclasses.replace(config.sac, lr=1e-4))
+    write_run(place := inventory.RECORDS / run_name(other), other)
+    assert main(["reproduce", "table-15", "--seeds", "2"]) == 0
+    assert all(is_whole(job) for job in wanted)
+    assert sorted(path.name for path in place.iterdir()) == ["config.json", "metrics.jsonl"], "it stays as it was"
+
+
+def test_a_run_made_by_hand_is_kept(place, finished):
+    (inventory.RECORDS / "halfcheetah-vel-ear-smoke-seeds0-1").mkdir(parents=True)
+    assert main(["keep", str(finished)]) == 0
+    kept = inventory.RECORDS / "halfcheetah-vel-ear-smoke-seeds0-1"
+    assert sorted(path.name for path in kept.iterdir()) == ["config.json", "metrics.jsonl", "policy.safetensors"]
+    assert [row["seed"] for row in records.read_rows(kept / "metrics.jsonl")][-2:] == [0, 1]
+    assert main(["keep", str(place / "nowhere")]) == 2
 
 
 def test_dry_run_prints_the_commands_and_writes_nothing(workplace, capsys, tmp_path):
