@@ -18,6 +18,7 @@ def train_words(job: Job) -> list[str]:
     """The `ear` command that trains a job, or continues it, or finds it finished."""
     config = job.config
     words = ["train", config.family, "--agent", config.agent, "--preset", config.preset, "--seed", str(config.seed)]
+    words += ["--seeds", str(config.seeds)] if config.seeds > 1 else []
     return words if config.minutes is None else [*words, "--minutes", f"{config.minutes:g}"]
 
 

@@ -19,12 +19,20 @@ from experiments.paper import Analysis, Experiment, Method
 
 RECORDS = Path(__file__).with_name("records")
 POLICY = "policy.safetensors"
-BUDGET = ("seeds", "epochs", "minutes", "engine", "log", "checkpoint")  # settings by which a run is no other run
+BUDGET = (
+    "seed",
+    "seeds",
+    "epochs",
+    "minutes",
+    "engine",
+    "log",
+    "checkpoint",
+)  # settings by which a run is no other run
 
 
 @dataclass(frozen=True)
 class Job:
-    """One seed of a method, and the analyses that are wanted of it."""
+    """One seed of a method, or several side by side, and the analyses that are wanted of it."""
 
     config: Config
     analyses: tuple[Analysis, ...]
@@ -35,14 +43,10 @@ class Job:
 
     @property
     def record(self) -> Path:
-        """Where it is recorded: by itself or, if it is not, with the seeds that it was trained beside."""
+        """Where it is recorded, or would be: by itself, or among the seeds that it was trained beside."""
         alone, method = RECORDS / self.name, self.name.removesuffix(str(self.config.seed))
-        if not alone.exists():
-            for together in sorted(RECORDS.glob(f"{method}s*-*")):
-                first, last = map(int, together.name.removeprefix(f"{method}s").split("-"))
-                if first <= self.config.seed <= last:
-                    return together
-        return alone
+        places = [alone, *sorted(RECORDS.glob(f"{method}s*"))]
+        return next((place for place in places if _holds(place, self.config)), alone)
 
     @property
     def policy(self) -> Path:
@@ -68,19 +72,43 @@ def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes:
 
 
 def is_trained(job: Job) -> bool:
-    """Whether the record is of a run with today's settings that has come to the end of its budget."""
-    rows = records.read_rows(job.record / "metrics.jsonl")
+    """Whether there is a record of a run with today's settings that has come to the end of its budget."""
+    return _holds(job.record, job.config)
+
+
+def _holds(record: Path, config: Config) -> bool:
+    rows = records.read_rows(record / "metrics.jsonl")
     if not rows:
         return False
     try:
-        made = from_dict(records.read_run(job.record)["config"])
+        made = from_dict(records.read_run(record)["config"])
     except UsageError:  # no configuration, or a setting that is no more
         return False
-    budget = {name: getattr(job.config, name) for name in (*BUDGET, "seed")}
-    last, minutes = rows[-1], job.config.minutes
-    spent = last["epoch"] >= job.config.epochs or (minutes is not None and last["seconds"] >= 60 * minutes)
-    held = range(made.seed, made.seed + made.seeds)
-    return spent and job.config.seed in held and dataclasses.replace(made, **budget) == job.config
+    budget = {name: getattr(config, name) for name in BUDGET}
+    last, minutes = rows[-1], config.minutes
+    spent = last["epoch"] >= config.epochs or (minutes is not None and last["seconds"] >= 60 * minutes)
+    seeds = made.seed <= config.seed and config.seed + config.seeds <= made.seed + made.seeds
+    return spent and seeds and dataclasses.replace(made, **budget) == config
+
+
+def is_kept(job: Job) -> bool:
+    """Whether the record has all that is needed of the run, wherever that was trained."""
+    return is_trained(job) and job.policy.is_file()
+
+
+def side_by_side(wanted: list[Job]) -> list[Job]:
+    """The same jobs, but where a method lacks several seeds, one run of all from the first to the last of these."""
+    kept, lacking = [], {}
+    for job in wanted:
+        if is_kept(job):
+            kept.append(job)
+        else:
+            lacking.setdefault((dataclasses.replace(job.config, seed=0), job.analyses), []).append(job.config.seed)
+    together = [
+        Job(dataclasses.replace(config, seed=min(seeds), seeds=1 + max(seeds) - min(seeds)), analyses)
+        for (config, analyses), seeds in lacking.items()
+    ]
+    return kept + together
 
 
 def missing(job: Job) -> list[Analysis]:

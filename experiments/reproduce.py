@@ -17,7 +17,7 @@ from ear_jax.errors import RunError
 from ear_jax.stopping import Stopped
 from experiments import inventory
 from experiments.commands import RUNS, analysis_words, export_words, is_copied, train_words
-from experiments.inventory import POLICY, Job, is_trained, is_whole, missing
+from experiments.inventory import POLICY, Job, is_kept, is_whole, missing
 from experiments.paper import Analysis
 
 
@@ -26,7 +26,7 @@ def plan(job: Job) -> list[str]:
     if is_whole(job):
         return []
     run, record = RUNS / job.name, inventory.RECORDS / job.name
-    training = [] if _is_kept(job) else [train_words(job), export_words(run, record)]
+    training = [] if is_kept(job) else [train_words(job), export_words(run, record)]
     return [shlex.join(["ear", *words]) for words in (*training, *(analysis_words(job, one) for one in missing(job)))]
 
 
@@ -38,7 +38,7 @@ def make_whole(job: Job) -> None:
     """
     if is_whole(job):
         return
-    if not _is_kept(job):
+    if not is_kept(job):
         run_ear(train_words(job))
         keep(RUNS / job.name)
     for analysis in missing(job):
@@ -53,11 +53,6 @@ def analyse(job: Job, analysis: Analysis) -> None:
         shutil.copyfile(document["files"][analysis.picture], job.record / f"{analysis.name}.png")
     command = shlex.join(["ear", *words])
     records.write_json(job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()})
-
-
-def _is_kept(job: Job) -> bool:
-    """Whether the record has all that is needed of the run, wherever that was trained."""
-    return is_trained(job) and job.policy.is_file()
 
 
 def keep(run: Path) -> Path:

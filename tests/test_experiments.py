@@ -17,6 +17,7 @@ import pytest
 from ear_jax import records
 from ear_jax.agents import AGENTS
 from ear_jax.cli import main as ear
+from ear_jax.cli import train
 from ear_jax.config import Config, run_name
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError
@@ -144,8 +145,8 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
             return str(Path(words[2]).write_bytes(b"policy"))
         if words[0] != "train":
             return json.dumps({"answer": len(asked)})
-        job = next(job for job in ALL if reproduce.train_words(job) == words)
-        write_run(tmp_path / "runs" / job.name, job.config)
+        config = train.read(words[1:]).config
+        write_run(tmp_path / "runs" / run_name(config), config)
         return ""
 
     monkeypatch.setattr(reproduce, "run_ear", run_ear)
@@ -156,9 +157,6 @@ def write_run(directory: Path, config: Config, **row: float) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     records.write_json(directory / "config.json", {"config": dataclasses.asdict(config)})
     (directory / "metrics.jsonl").write_text(json.dumps({"epoch": config.epochs, "seconds": 60.0, **row}) + "\n")
-
-
-ALL = [job for experiment in EXPERIMENTS.values() for job in jobs(experiment, "fast")]
 
 
 def test_what_is_missing_is_run_and_then_nothing_is(workplace):
@@ -260,6 +258,21 @@ def test_seeds_are_trained_one_by_one_where_their_record_is_of_other_settings(wo
     assert main(["reproduce", "table-15", "--seeds", "2"]) == 0
     assert all(is_whole(job) for job in wanted)
     assert sorted(path.name for path in place.iterdir()) == ["config.json", "metrics.jsonl"], "it stays as it was"
+
+
+def test_seeds_that_are_lacking_are_trained_together(workplace):
+    """Of two methods, of which one has a seed already."""
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    workplace.clear()
+    shutil.rmtree(inventory.RECORDS / "ant-dir-ear-fast+no-noise-seed0")
+    assert main(["reproduce", "table-8", "--together"]) == 0
+    assert [words for words in workplace if words.startswith("train")] == [
+        "train ant-dir --agent ear --preset fast+no-noise --seed 0 --seeds 3",
+        "train ant-dir --agent ear --preset fast --seed 1 --seeds 2",
+    ]
+    workplace.clear()
+    assert main(["reproduce", "table-8"]) == 0
+    assert workplace == [], "each seed is there"
 
 
 def test_a_run_made_by_hand_is_kept(place, finished):

@@ -61,7 +61,7 @@ class Run:
         return {
             name: value
             for name, value in flat(self.config).items()
-            if name.split(".")[0] not in (*BUDGET, "seed") and value != today[name]
+            if name.split(".")[0] not in BUDGET and value != today[name]
         }
 
     def document(self, name: str) -> dict[str, Any] | None:
