@@ -145,8 +145,8 @@ FIGURES = (
 OURS = (
     Experiment(
         "agents",
-        "agents and ablations on HalfCheetah-Vel, about an hour of one core each",
-        methods((CHEETAH,), EVALUATION, agents=("ear", "onehot", "onehot-blind", "multihead", "ear-rnn"))
+        "agents and ablations on HalfCheetah-Vel",
+        methods((CHEETAH,), EVALUATION, agents=("ear", "onehot", "onehot-blind", "multihead", "ear-rnn", "pearl"))
         + methods((CHEETAH,), EVALUATION, INTERPOLATION, ablations=("+no-noise", "+no-norm", "+no-noise+no-norm")),
         seeds=2,
     ),

@@ -41,6 +41,13 @@ def test_the_papers_one_hot_is_held_against_ours_with_it_and_without(place):
     assert f"HalfCheetah-Vel: OHE-SAC {ours}; the paper's OHE-SAC −609.0 ± 8.10." in said
 
 
+def test_of_seeds_trained_side_by_side_it_is_told_how_many_and_where(place):
+    path = record(seeds=2) / "config.json"
+    made = json.loads(path.read_text())
+    records.write_json(path, {**made, "machine": {**made["machine"], "accelerator": "H100"}})
+    assert cells(section("runs", place / "out"), "halfcheetah-vel-ear-fast-seed0")[7] == "H100, 2 seeds side by side"
+
+
 def test_one_seed_has_no_spread(place):
     record()
     assert cells(section("table-1", place / "out"), "EAR-SAC")[2:6] == ["−195.5", "—", "—", "1 seed"]

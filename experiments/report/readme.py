@@ -45,7 +45,7 @@ def results(found: Found) -> str:
         markdown.table(Table("", COLUMNS, rows)),
         HOW_TO_READ,
         _budget(runs),
-        "Other methods, and EAR-SAC with a part left out, on HalfCheetah-Vel, in about an hour of one core each:",
+        "Other methods, and EAR-SAC with a part left out, on HalfCheetah-Vel, each in the budget of `fast`:",
         markdown.table(Table("", ("method", "return", "the paper"), _methods(found))),
         *_machines([run for family in TOLD for run in runs[family]]),
         *(_note(run) for family in TOLD for run in runs[family]),
@@ -69,7 +69,7 @@ def _family(family: str, runs: list[Run]) -> list[str]:
         printed(paper) if paper else theirs,
         *(_successes(family, runs, what) for what in ("mid_task", "one_to_one")),
         _mapped(family, runs),
-        span([run.last["seconds"] / 60 for run in runs], lambda minutes: number(minutes, 0)),
+        span([_minutes(run) for run in runs if run.config.seeds == 1], lambda minutes: number(minutes, 0)),
     ]
 
 
@@ -108,11 +108,16 @@ def _methods(found: Found) -> list[list[str]]:
     return rows
 
 
+def _minutes(run: Run) -> float:
+    return run.last["seconds"] / 60
+
+
 def _machines(runs: list[Run]) -> list[str]:
     """What each family was trained on, in a sentence; none without runs."""
     families: dict[str, list[str]] = {}
     for run in runs:
-        families.setdefault(machine(run), []).append(NAMES[run.config.family])
+        together = f" in {number(_minutes(run))} minutes" if run.config.seeds > 1 else ""
+        families.setdefault(machine(run) + together, []).append(NAMES[run.config.family])
     said = "; ".join(f"{', '.join(dict.fromkeys(names))} on {where}" for where, names in families.items())
     return [f"Trained: {said}."] if said else []
 

@@ -106,11 +106,10 @@ def facts(run: Run) -> list[str]:
 
 
 def machine(run: Run) -> str:
-    """What trained a run."""
-    where = run.made["machine"]
-    if "accelerator" in where:
-        return where["accelerator"]
-    return f"{where['processor']}, {where['cores']} core{'s'[: where['cores'] > 1]}"
+    """What trained a run, and beside how many."""
+    where, seeds = run.made["machine"], run.config.seeds
+    processor = f"{where['processor']}, {where['cores']} core{'s'[: where['cores'] > 1]}"
+    return where.get("accelerator", processor) + (f", {seeds} seeds side by side" if seeds > 1 else "")
 
 
 def all_runs(found: Found) -> Section:
