@@ -121,6 +121,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
     words = sys.argv[1:] if arguments is None else arguments
     try:
+        if words[:1] in (["-h"], ["--help"]):
+            print(f"{__doc__}\n\ncommands: {', '.join(COMMANDS)}; `{PROGRAM} COMMAND --help` tells what each takes")
+            return 0
         if not words or words[0] not in COMMANDS:
             raise unknown("command", words[0] if words else "", COMMANDS)
         COMMANDS[words[0]](words[1:])

@@ -320,6 +320,11 @@ def test_a_mistake_gets_one_line(words, complaint, workplace, capsys):
     assert (error[:13], error.count("\n")) == ("experiments: ", 1)
 
 
+def test_help_names_the_commands(capsys):
+    assert main(["--help"]) == 0
+    assert "commands: list, reproduce, keep, report, publish" in capsys.readouterr().out
+
+
 def test_a_command_that_fails_is_named_with_its_exit_code(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(RunError, match=r"`ear evaluate nowhere` ended with exit code 2"):
