@@ -13,7 +13,7 @@ from types import FrameType
 
 from ear_jax import records
 from ear_jax.config import from_dict, run_name
-from ear_jax.errors import RunError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.stopping import Stopped
 from experiments import inventory
 from experiments.commands import RUNS, analysis_words, export_words, is_copied, train_words
@@ -40,7 +40,7 @@ def make_whole(job: Job) -> None:
         return
     if not is_kept(job):
         run_ear(train_words(job))
-        keep(RUNS / job.name)
+        keep(RUNS / job.name, anew=True)
     for analysis in missing(job):
         analyse(job, analysis)
 
@@ -55,25 +55,30 @@ def analyse(job: Job, analysis: Analysis) -> None:
     records.write_json(job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()})
 
 
-def keep(run: Path) -> Path:
-    """Makes a record of a run, of all its seeds together; documents of another run of that name go.
+def keep(run: Path, anew: bool = False) -> Path:
+    """Makes a record of a run, of all its seeds together.
+
+    Args:
+      run: its directory.
+      anew: whether a record of another run of that name gives way, and with it what was found out of that.
 
     Raises:
-      UsageError: it is no run directory.
-      RunError: it has no metrics.
+      UsageError: it is no run directory, or another run is recorded under its name.
+      RunError: it has no metrics, or nothing to export.
       Stopped: as `run_ear`.
     """
     record = inventory.RECORDS / run_name(from_dict(records.read_run(run)["config"]))
     if not (run / "metrics.jsonl").is_file():
         raise RunError(f"{run} has no metrics yet; the record stays as it is")
-    if is_copied(run, record):
-        (record / POLICY).unlink(missing_ok=True)  # of a process that was stopped while it wrote
-    else:
+    if not is_copied(run, record):
+        if (record / "metrics.jsonl").exists() and not anew:
+            raise UsageError(f"{record} is of another run; remove it first if {run} is to take its place")
         shutil.rmtree(record, ignore_errors=True)
-        record.mkdir(parents=True)
-        shutil.copyfile(run / "config.json", record / "config.json")
-        shutil.copyfile(run / "metrics.jsonl", record / "metrics.jsonl")
+    record.mkdir(parents=True, exist_ok=True)
+    (record / POLICY).unlink(missing_ok=True)  # of a process that was stopped while it wrote
     run_ear(export_words(run, record))
+    for name in ("config.json", "metrics.jsonl"):  # by which it counts
+        shutil.copyfile(run / name, record / name)
     return record
 
 

@@ -140,6 +140,16 @@ def test_an_engine_that_cannot_run_here_is_exit_code_1(tmp_path, monkeypatch, ca
     assert "use 'mjx'" in capsys.readouterr().err
 
 
+def test_what_is_made_on_an_accelerator_names_it(monkeypatch):
+    import jax
+
+    from ear_jax import records
+
+    assert "accelerator" not in records.provenance()["machine"]
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert records.provenance()["machine"]["accelerator"] == jax.local_devices()[0].device_kind
+
+
 def test_settings_override_the_preset():
     config = read(
         ["halfcheetah-vel", "--preset", "smoke", "--sac.lr", "1e-4", "--replay.share-experience", "false"]

@@ -38,6 +38,10 @@ class Run:
     def last(self) -> dict[str, Any]:
         return self.rows[-1]
 
+    @property
+    def minutes(self) -> float:
+        return self.last["seconds"] / 60
+
     @cached_property
     def config(self) -> Config:
         """Its settings; those that are no more are left out, and those that came later had their defaults."""

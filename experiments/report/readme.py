@@ -69,7 +69,7 @@ def _family(family: str, runs: list[Run]) -> list[str]:
         printed(paper) if paper else theirs,
         *(_successes(family, runs, what) for what in ("mid_task", "one_to_one")),
         _mapped(family, runs),
-        span([_minutes(run) for run in runs if run.config.seeds == 1], lambda minutes: number(minutes, 0)),
+        span([run.minutes for run in runs if run.config.seeds == 1], lambda minutes: number(minutes, 0)),
     ]
 
 
@@ -108,15 +108,11 @@ def _methods(found: Found) -> list[list[str]]:
     return rows
 
 
-def _minutes(run: Run) -> float:
-    return run.last["seconds"] / 60
-
-
 def _machines(runs: list[Run]) -> list[str]:
     """What each family was trained on, in a sentence; none without runs."""
     families: dict[str, list[str]] = {}
     for run in runs:
-        together = f" in {number(_minutes(run))} minutes" if run.config.seeds > 1 else ""
+        together = f" in {number(run.minutes)} minutes" if run.config.seeds > 1 else ""
         families.setdefault(machine(run) + together, []).append(NAMES[run.config.family])
     said = "; ".join(f"{', '.join(dict.fromkeys(names))} on {where}" for where, names in families.items())
     return [f"Trained: {said}."] if said else []

@@ -101,7 +101,7 @@ def _made(document: dict[str, Any] | None) -> list[str]:
 def facts(run: Run) -> list[str]:
     """Budget, commit and machine of a run."""
     last = run.last
-    spent = [count(last["env_steps"]), count(last["updates"]), number(last["seconds"] / 60)]
+    spent = [count(last["env_steps"]), count(last["updates"]), number(run.minutes)]
     return [*spent, run.made["commit"] or MISSING, machine(run)]
 
 

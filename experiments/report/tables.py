@@ -117,7 +117,7 @@ def budget(runs: Sequence[Run]) -> list[str]:
     return [
         span([run.last["env_steps"] for run in runs], count),
         span([run.last["updates"] for run in runs], count),
-        span([run.last["seconds"] / 60 for run in runs], number),
+        span([run.minutes for run in runs], number),
     ]
 
 
