@@ -62,6 +62,36 @@ def for_each_seed(trained: Trained, of_seed: Callable[..., Any], seed: int, *arg
     return jax.device_get(of_all(trained.policies, keys, *arguments))
 
 
+def pick(trained: Trained, policy: int) -> Trained:
+    """The policy of one seed, as of a run of that seed alone.
+
+    Args:
+      trained: the policies.
+      policy: whose: 0 is the first seed.
+
+    Returns:
+      That policy; `about` tells beside how many seeds it was trained.
+
+    Raises:
+      UsageError: there is no such policy.
+    """
+    check_policy(trained, policy)
+    config = trained.program.config
+    if config.seeds == 1:
+        return trained
+    alone = {"seed": config.seed + policy, "seeds": 1}
+    about = {**trained.about, "config": {**trained.about["config"], **alone}, "side_by_side": config.seeds}
+    policies = jax.tree.map(lambda leaf: leaf[policy : policy + 1], trained.policies)
+    program = replace(trained.program, config=replace(config, **alone))
+    return replace(trained, program=program, policies=policies, about=about)
+
+
+def check_policy(trained: Trained, policy: int) -> None:
+    """Raises UsageError for a policy that a run does not have."""
+    if not 0 <= policy < (seeds := trained.program.config.seeds):
+        raise UsageError(f"--policy {policy} is none of the run's: it has {seeds}, and the first is 0")
+
+
 def load(path: Path, family: str | None = None, engine: str | None = None) -> Trained:
     """Reads the policies of a run's newest good checkpoint, of an exported file, or of a pretrained agent.
 

@@ -55,6 +55,8 @@ class KeepCommand:
 
     run: tyro.conf.Positional[Path]
     """The run directory."""
+    name: str | None = None
+    """The record's name; by default FAMILY-AGENT-PRESET-seedN, by which the paper's tables find it."""
 
 
 def list_all(words: list[str]) -> None:
@@ -99,7 +101,7 @@ def check_seeds(seeds: int | None) -> None:
 
 def keep_run(words: list[str]) -> None:
     command = parse(KeepCommand, words, "keep", program=PROGRAM)
-    say(f"kept as {keep(command.run)}")
+    say(f"kept as {keep(command.run, command.name)}")
 
 
 def report(words: list[str]) -> None:

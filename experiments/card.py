@@ -7,33 +7,34 @@ from typing import Any
 from ear_jax.envs import Family
 from ear_jax.errors import RunError
 from ear_jax.trained import Trained
-from experiments.commands import command_line
 
 CURVE_POINTS = 20
 UNKNOWN = "It has not been evaluated: which tasks it meets is not known."
 
 
 def make_card(
-    name: str, trained: Trained, rows: list[dict[str, Any]], evaluation: dict[str, Any] | None
+    name: str, trained: Trained, command: str, rows: list[dict[str, Any]], evaluation: dict[str, Any] | None
 ) -> dict[str, Any]:
     """What a person should know of an agent, but for its file's size and checksum.
 
     Args:
       name: what it is called.
       trained: its policy, of one seed.
-      rows: the run's metrics.
-      evaluation: what `ear evaluate --json` printed of it, if anything.
+      command: the `ear train` that trained it, and the seeds beside it.
+      rows: the run's metrics, of all its seeds.
+      evaluation: what `ear evaluate --json` printed of them, if anything.
 
     Raises:
       RunError: the metrics have no row of the policy's epoch.
     """
     config, about, family = trained.program.config, trained.about, trained.program.family
-    rows = [row for row in rows if row["epoch"] <= trained.epoch]
+    rows = [row for row in rows if row["seed"] == config.seed and row["epoch"] <= trained.epoch]
     if not rows or rows[-1]["epoch"] != trained.epoch:
         raise RunError(f"{trained.name} is of epoch {trained.epoch}, and metrics.jsonl beside it has no row of that")
     last = rows[-1]
     if evaluation:
-        found, episodes, source = evaluation["seeds"][0], evaluation["episodes"], "evaluation.json"
+        found = next(one for one in evaluation["seeds"] if one["seed"] == config.seed)
+        episodes, source = evaluation["episodes"], "evaluation.json"
         mean_return, tasks = found["mean_return"], [judge(family, task, found["tasks"]) for task in found["tasks"]]
     else:
         mean_return, episodes, source = last["mean_return"], config.log.episodes, "metrics.jsonl, last row"
@@ -43,7 +44,9 @@ def make_card(
         "family": config.family,
         "agent": config.agent,
         "preset": config.preset,
-        "command": command_line(config),
+        "command": command,
+        "seed": config.seed,
+        "side_by_side": about.get("side_by_side", 1),  # seeds that were trained in those minutes
         "env_steps": last["env_steps"],
         "updates": last["updates"],
         "minutes": round(last["seconds"] / 60, 1),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import shutil
 import signal
@@ -55,24 +56,28 @@ def analyse(job: Job, analysis: Analysis) -> None:
     records.write_json(job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()})
 
 
-def keep(run: Path, anew: bool = False) -> Path:
+def keep(run: Path, name: str | None = None, anew: bool = False) -> Path:
     """Makes a record of a run, of all its seeds together.
 
     Args:
       run: its directory.
+      name: the record's; by default that of a run with these family, agent, preset and seeds.
       anew: whether a record of another run of that name gives way, and with it what was found out of that.
 
     Raises:
-      UsageError: it is no run directory, or another run is recorded under its name.
+      UsageError: it is no run directory, a name that is none, or another run is recorded under it.
       RunError: it has no metrics, or nothing to export.
       Stopped: as `run_ear`.
     """
-    record = inventory.RECORDS / run_name(from_dict(records.read_run(run)["config"]))
+    name = name or run_name(from_dict(records.read_run(run)["config"]))
+    if not re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", name):
+        raise UsageError(f"--name {name} cannot name a record; use small letters, digits, -, + and .")
+    record = inventory.RECORDS / name
     if not (run / "metrics.jsonl").is_file():
         raise RunError(f"{run} has no metrics yet; the record stays as it is")
     if not is_copied(run, record):
         if (record / "metrics.jsonl").exists() and not anew:
-            raise UsageError(f"{record} is of another run; remove it first if {run} is to take its place")
+            raise UsageError(f"{record} is of another run; give this one a --name, or remove that first")
         shutil.rmtree(record, ignore_errors=True)
     record.mkdir(parents=True, exist_ok=True)
     (record / POLICY).unlink(missing_ok=True)  # of a process that was stopped while it wrote

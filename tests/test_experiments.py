@@ -182,6 +182,11 @@ def test_a_record_of_another_run_is_not_lost(place, finished, capsys):
     assert main(["keep", str(finished)]) == 2
     assert f"{kept} is of another run" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in kept.iterdir()} == before
+    assert main(["keep", str(finished), "--name", "halfcheetah-vel-tiny"]) == 0
+    own = kept.with_name("halfcheetah-vel-tiny")
+    assert (own / "metrics.jsonl").read_bytes() == (finished / "metrics.jsonl").read_bytes()
+    assert main(["keep", str(finished), "--name", "../away"]) == 2
+    assert "cannot name a record" in capsys.readouterr().err
 
 
 def test_a_run_without_a_policy_leaves_no_record(place, finished):

@@ -63,6 +63,20 @@ def test_a_command_takes_it_for_a_run(exported, capsys):
     assert [path.name for path in (results / "figures").iterdir()] == ["commanded_achieved.png"]
 
 
+def test_one_seed_of_several_is_as_if_trained_alone(finished, tmp_path, capsys):
+    file, both = tmp_path / "second.safetensors", load(finished)
+    assert main(["export", str(finished), str(file), "--policy", "1"]) == 0
+    assert "seeds from 1: 1, one of 2 trained side by side" in capsys.readouterr().out
+    alone = load(file)
+    assert (alone.program.config.seed, alone.program.config.seeds) == (1, 1)
+    for one, two in zip(leaves(alone.policies), leaves(both.policies), strict=True):
+        np.testing.assert_array_equal(one, two[1:])
+    (last,) = (row for row in records.read_rows(finished / "metrics.jsonl") if (row["epoch"], row["seed"]) == (24, 1))
+    assert f"mean return {last['mean_return']:.1f}" in safetensors.read(file)[1]["card"]
+    assert main(["export", str(file), str(tmp_path / "again.safetensors"), "--policy", "1"]) == 2
+    assert "--policy 1 is none of the run's: it has 1, and the first is 0" in capsys.readouterr().err
+
+
 def test_every_flipped_bit_is_found(exported):
     content = exported.read_bytes()
     dice = random.Random(0)

@@ -20,6 +20,7 @@ from ear_jax.errors import RunError, UsageError
 from ear_jax.export import read_policy, write_policy
 from ear_jax.interpolate import End, adjacent_pairs, trained_ends
 from ear_jax.trained import load
+from experiments.inventory import RECORDS
 from experiments.publish import ALL_BYTES, FILE_BYTES
 
 NAMES = pretrained.names()
@@ -55,6 +56,15 @@ def test_a_card_agrees_with_its_file_which_loads(name):
     assert card["mean_return"] == pytest.approx(np.mean([task["return"] for task in card["tasks"]]), rel=1e-5)
     assert card["commit"] == trained.about["commit"]
     assert card["limits"].endswith(".")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_is_the_best_seed_that_is_recorded(name):
+    card, recorded = pretrained.card(name), {}
+    for path in RECORDS.glob(f"{card['family']}-{card['agent']}-{card['preset']}-*/evaluation.json"):
+        for one in json.loads(path.read_text())["seeds"]:
+            recorded[path.parent.name, one["seed"]] = one["mean_return"]
+    assert recorded[card["record"], card["seed"]] == card["mean_return"] == max(recorded.values())
 
 
 def test_there_are_some_and_they_are_small_and_in_the_wheel():

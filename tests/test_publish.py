@@ -18,7 +18,8 @@ from ear_jax.presets import preset_config
 from ear_jax.trained import load
 from experiments import publish
 from experiments.__main__ import main
-from experiments.card import CURVE_POINTS, command_line, judge, limits, thinned
+from experiments.card import CURVE_POINTS, judge, limits, thinned
+from experiments.commands import command_line
 from experiments.inventory import RECORDS
 
 POLICY, METRICS, EVALUATION = "policy.safetensors", "metrics.jsonl", "evaluation.json"
@@ -62,10 +63,41 @@ def test_without_an_evaluation_returns_are_the_last_rows_and_limits_unknown(reco
 
 
 def of_two_seeds(record: Path) -> None:
+    """The second seed's policy is the first's turned about, and its returns are less by one."""
     about, arrays = read_policy(record / POLICY)
     about["config"]["seeds"] = 2
-    twice = jax.tree.map(lambda leaf: np.concatenate([leaf, leaf]), load(record / POLICY).policies)
+    twice = jax.tree.map(lambda leaf: np.concatenate([leaf, -leaf]), load(record / POLICY).policies)
     write_policy(record / POLICY, twice, np.concatenate([arrays["codes"]] * 2), about, "")
+    rows = records.read_rows(record / METRICS)
+    lower = [{**row, "seed": 1, "mean_return": row["mean_return"] - 1} for row in rows]
+    both = [row for pair in zip(rows, lower, strict=True) for row in pair]
+    (record / METRICS).write_text("".join(f"{json.dumps(row)}\n" for row in both))
+    evaluation = json.loads((record / EVALUATION).read_text())
+    first = evaluation["seeds"][0]
+    evaluation["seeds"].append({**first, "seed": 1, "mean_return": first["mean_return"] - 1})
+    records.write_json(record / EVALUATION, evaluation)
+
+
+def test_of_several_seeds_one_ships(record, folder, capsys):
+    first = load(record / POLICY)
+    of_two_seeds(record)
+    assert main(["publish", str(record), "--policy", "1"]) == 0
+    card, shipped = pretrained.card("hopper-vel"), load(Path("pretrained:hopper-vel"))
+    for one, two in zip(jax.tree.leaves(shipped.policies), jax.tree.leaves(first.policies), strict=True):
+        np.testing.assert_array_equal(one, -two)
+    assert (card["seed"], card["side_by_side"], card["command"]) == (1, 2, "ear train hopper-vel --seeds 2")
+    evaluated = json.loads((record / EVALUATION).read_text())["seeds"][1]["mean_return"]
+    last = records.read_rows(record / METRICS)[-1]
+    assert (card["mean_return"], last["seed"]) == (evaluated, 1)
+    assert card["learning_curve"][-1]["mean_return"] == round(last["mean_return"], 2)
+    assert main(["publish", str(record), "--policy", "2"]) == 2
+    assert "--policy 2 is none of the run's: it has 2, and the first is 0" in capsys.readouterr().err
+
+
+def of_another_seed(record: Path) -> None:
+    document = json.loads((record / EVALUATION).read_text())
+    document["seeds"][0]["seed"] = 7
+    records.write_json(record / EVALUATION, document)
 
 
 def evaluated_before(record: Path) -> None:
@@ -87,7 +119,8 @@ def measured_before(record: Path) -> None:
         (evaluated_before, 1, "is of 2 updates, and the policy of "),
         (lambda record: (record / EVALUATION).write_text("{"), 1, "evaluation.json cannot be read"),
         (lambda record: (record / POLICY).write_bytes(b"x"), 1, "is no whole safetensors file"),
-        (of_two_seeds, 2, "holds 2 seeds; an agent that ships has one"),
+        (of_another_seed, 1, "evaluation.json is not of seed 0; evaluate it anew"),
+        (of_two_seeds, 2, "holds 2 seeds; an agent that ships has one: name it by --policy"),
     ],
 )
 def test_what_cannot_ship_is_refused_in_one_line(harm, code, complaint, record, folder, capsys):

@@ -170,6 +170,17 @@ def test_a_run_of_an_earlier_recipe_is_shown_with_what_was_otherwise(place):
     assert "`ear train halfcheetah-vel --epochs 900 --minutes 15 --sac.lr 0.0003`" in section("table-11", place / "out")
 
 
+def test_of_two_runs_of_a_seed_that_with_todays_settings_is_told_of(place):
+    config = preset_config("halfcheetah-vel", "fast")
+    long = record(sac=dataclasses.replace(config.sac, lr_decay=400_000), epochs=900)
+    long.rename(long.with_name("a-trial"))
+    (run,) = Found("fast").runs("halfcheetah-vel")
+    assert run.name == "a-trial"
+    made = record()
+    (run,) = Found("fast").runs("halfcheetah-vel")
+    assert run.name == made.name
+
+
 def test_seeds_trained_together_are_told_apart(place):
     directory = record(seeds=2)
     rows = records.read_rows(directory / "metrics.jsonl")

@@ -11,7 +11,7 @@ import tyro
 from ear_jax.config import MAX_SEED
 from ear_jax.errors import UsageError
 from ear_jax.runtime import enable_cache
-from ear_jax.trained import Trained, load
+from ear_jax.trained import Trained, check_policy, load
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +47,5 @@ class OnPolicy(OnRun):
     def load(self) -> Trained:
         """The run; raises as `OnRun.load` does, and UsageError for a policy that it does not have."""
         trained = super().load()
-        if not 0 <= self.policy < (seeds := trained.program.config.seeds):
-            raise UsageError(f"--policy {self.policy} is none of the run's: it has {seeds}, and the first is 0")
+        check_policy(trained, self.policy)
         return trained

@@ -95,11 +95,11 @@ class Found:
             if config.preset.split("+")[0] != preset.split("+")[0] or _other_tasks(run):
                 continue
             seeds = self._runs.setdefault((config.family, config.agent, config.preset), {})
-            if run.seed not in seeds or seeds[run.seed].last["updates"] < run.last["updates"]:
+            if run.seed not in seeds or _rank(seeds[run.seed]) < _rank(run):
                 seeds[run.seed] = run
 
     def runs(self, family: str, agent: str = "ear", ablation: str = "") -> list[Run]:
-        """A method's runs in the order of their seeds; of two of one seed, the one with more updates."""
+        """A method's runs in the order of their seeds; of two of one seed that of today's settings, or more updates."""
         seeds = self._runs.get((family, agent, self.preset + ablation), {})
         return [seeds[seed] for seed in sorted(seeds)]
 
@@ -122,6 +122,11 @@ def _all_runs() -> list[Run]:
         for seed in sorted({row["seed"] for row in rows}):
             found.append(Run(path.parent.name, seed, made, [row for row in rows if row["seed"] == seed]))
     return found
+
+
+def _rank(run: Run) -> tuple[bool, int]:
+    """By which of two runs of one seed is taken: today's settings count first, then updates."""
+    return not run.changes, run.last["updates"]
 
 
 def _other_tasks(run: Run) -> bool:

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ear_jax import pretrained
 from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, REACH, RUN_JUMP
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
 from experiments.report.comparison import comparison
 from experiments.report.found import Found, Run
 from experiments.report.measures import mean_return, paper_budget, paper_counts, paper_return, successes, unit
-from experiments.report.sections import TABLES, machine, title
+from experiments.report.sections import TABLES, machine, named, title
 from experiments.report.words import MISSING, NAMES, count, label, number, percent, printed, seeds, span, spread
 
 ROOT = Path(__file__).parents[2]
@@ -45,6 +46,7 @@ def results(found: Found) -> str:
         markdown.table(Table("", COLUMNS, rows)),
         HOW_TO_READ,
         _budget(runs),
+        *_shipped(found),
         "Other methods, and EAR-SAC with a part left out, on HalfCheetah-Vel, each in the budget of `fast`:",
         markdown.table(Table("", ("method", "return", "the paper"), _methods(found))),
         *_machines([run for family in TOLD for run in runs[family]]),
@@ -96,6 +98,18 @@ def _budget(runs: dict[str, list[Run]]) -> str:
                 f"{NAMES[family]} {count(last['env_steps'])} ({shares[0]}) and {count(last['updates'])} ({shares[1]})"
             )
     return f"Env steps and updates a seed, and of the paper's: {'; '.join(said)}." if said else ""
+
+
+def _shipped(found: Found) -> list[str]:
+    """Of each agent that ships but is of none of the runs told of: what trained it, and what it returns."""
+    told = {run.name for run in found.all()}
+    return [
+        f"`{pretrained.PREFIX}{card['name']}` is of a run of its own: seed {card['seed']} of `{card['command']}`, "
+        f"{count(card['env_steps'])} env steps and {count(card['updates'])} updates in {number(card['minutes'])} "
+        f"minutes on {named(card['machine'], card['side_by_side'])}. It returns {number(card['mean_return'])}."
+        for card in map(pretrained.card, pretrained.names())
+        if card["record"] not in told
+    ]
 
 
 def _methods(found: Found) -> list[list[str]]:
