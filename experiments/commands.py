@@ -46,11 +46,11 @@ def _from_here(path: Path) -> str:
 
 
 def command_line(config: Config) -> str:
-    """The `ear train` with these settings: what differs from today's preset is a flag; the engine is left to choose."""
+    """The `ear train` with these settings: what differs from today's preset is a flag, but for engine and checkpoints."""
     words = ["ear", "train", config.family]
     usual = {**flat(preset_config(config.family, config.preset, config.agent)), "preset": "fast", "agent": "ear"}
     for name, value in flat(config).items():
-        if value != usual[name] and name != "engine":
+        if value != usual[name] and name.split(".")[0] not in ("engine", "checkpoint"):
             values = value if isinstance(value, tuple) else [value]
             words.append(f"--{name.replace('_', '-')}")
             words += [f"{one:g}" if isinstance(one, float) else str(one) for one in values]

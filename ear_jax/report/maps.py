@@ -82,11 +82,12 @@ def _draw_flat(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Pa
             axes.annotate(
                 _label(task),
                 (where[0][0], where[1][0]),
-                xytext=(4, 4),
+                xytext=(6, 0),
                 textcoords="offset points",
+                va="center",
                 fontsize=7,
                 bbox=BEHIND,
-                zorder=5,
+                zorder=3,
             )
         axes.set(xticklabels=[], yticklabels=[], xlabel="LTE sphere, equal areas; circles: LTEs of the training tasks")
         axes.grid(alpha=0.3)
