@@ -46,7 +46,7 @@ def _from_here(path: Path) -> str:
 
 
 def command_line(config: Config) -> str:
-    """The `ear train` with these settings: what differs from today's preset is a flag, but for engine and checkpoints."""
+    """`ear train` with these settings: what today's preset has otherwise is a flag, but for engine and checkpoints."""
     words = ["ear", "train", config.family]
     usual = {**flat(preset_config(config.family, config.preset, config.agent)), "preset": "fast", "agent": "ear"}
     for name, value in flat(config).items():
