@@ -76,13 +76,13 @@ def pick(trained: Trained, policy: int) -> Trained:
       UsageError: there is no such policy.
     """
     check_policy(trained, policy)
-    config = trained.program.config
+    config, seed = trained.program.config, trained.program.config.seed + policy
     if config.seeds == 1:
         return trained
-    alone = {"seed": config.seed + policy, "seeds": 1}
-    about = {**trained.about, "config": {**trained.about["config"], **alone}, "side_by_side": config.seeds}
     policies = jax.tree.map(lambda leaf: leaf[policy : policy + 1], trained.policies)
-    program = replace(trained.program, config=replace(config, **alone))
+    program = replace(trained.program, config=replace(config, seed=seed, seeds=1))
+    alone = {**trained.about["config"], "seed": seed, "seeds": 1}
+    about = {**trained.about, "config": alone, "side_by_side": config.seeds}
     return replace(trained, program=program, policies=policies, about=about)
 
 
