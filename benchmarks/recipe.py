@@ -78,9 +78,10 @@ def main(picture: Path = PICTURE) -> None:
     documents.put(DOCUMENT, PLACE, trials(rows))
     families = list(dict.fromkeys(row["family"] for row in rows))
     with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(1, len(families), figsize=(4.4 * len(families), 4.8), layout="constrained")
-        for axes, family in zip(np.atleast_1d(grid), families, strict=True):
-            draw(axes, [row for row in rows if row["family"] == family])
+        lines = -(-len(families) // 2)
+        figure = plt.figure(figsize=(9.6, 4.8 * lines), layout="constrained")
+        for place, family in enumerate(families, start=1):
+            draw(figure.add_subplot(lines, 2, place), [row for row in rows if row["family"] == family])
         figure.savefig(picture)
     print(picture)
 
