@@ -80,6 +80,8 @@ def test_the_committed_records_are_reported_without_jax(tmp_path):
 
 def test_documents_are_rewritten_between_their_markers_alone(place, monkeypatch, capsys):
     record()
+    record(agent="onehot")
+    record(agent="onehot-blind", level=-600)
     documents = {name: place / f"{name}.md" for name in ("README", "DETAILS")}
     for name, path in documents.items():
         monkeypatch.setattr(readme, name, path)
@@ -91,6 +93,8 @@ def test_documents_are_rewritten_between_their_markers_alone(place, monkeypatch,
         assert (text.startswith("before\n"), text.endswith("\nafter\n"), "\nold\n" in text) == (True, True, False)
     assert "| HalfCheetah-Vel | −195.5 (1 seed) | −136.9 ± 1.29 | — (26 of 27) | — (25 of 27) | — | 40 |" in texts[0]
     assert "HalfCheetah-Vel 800,000 (10 %) and 80,000 (10 %)." in texts[0]
+    assert "| HalfCheetah-Vel | −195.5 (1 seed) | −595.5 (1 seed) | −609.0 ± 8.10 |" in texts[0]
+    assert "| Ant-Dir | — | — | 195.7 ± 0.29 |" in texts[0]
     assert "## Table 18: 1:1 interpolation, Ant-Dir" in texts[1]
     assert main(["report", "--docs"]) == 0
     assert [path.read_text() for path in documents.values()] == texts

@@ -39,7 +39,7 @@ def details(found: Found) -> str:
 
 
 def results(found: Found) -> str:
-    """EAR on every family, all methods on the cheetah, and notes on the runs."""
+    """EAR on every family, all methods on the cheetah, OHE-SAC with and without its one-hot, and notes on the runs."""
     runs = {family: found.runs(family) for family in TOLD}
     rows = [_family(family, runs[family]) for family in TOLD if runs[family]]
     parts = [
@@ -49,6 +49,8 @@ def results(found: Found) -> str:
         *_shipped(found),
         "Other methods, and EAR-SAC with a part left out, on HalfCheetah-Vel, each in the budget of `fast`:",
         markdown.table(Table("", ("method", "return", "the paper"), _methods(found))),
+        "OHE-SAC, ours with its one-hot and with that zeroed, beside the paper's:",
+        markdown.table(Table("", ("family", "OHE-SAC", "one-hot zeroed", "the paper's"), _one_hot(found))),
         *_machines([run for family in TOLD for run in runs[family]]),
         *(_note(run) for family in TOLD for run in runs[family]),
     ]
@@ -67,7 +69,7 @@ def _family(family: str, runs: list[Run]) -> list[str]:
     theirs = "a curve" if family == REACH else MISSING
     return [
         NAMES[family],
-        f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})",
+        _returns(runs),
         printed(paper) if paper else theirs,
         *(_successes(family, runs, what) for what in ("mid_task", "one_to_one")),
         _mapped(family, runs),
@@ -117,9 +119,22 @@ def _methods(found: Found) -> list[list[str]]:
     for method in EXPERIMENTS["agents"].methods:
         runs = found.of(method)
         paper = None if method.ablation else paper_return(method.family, method.agent)
-        ours = f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})" if runs else MISSING
-        rows.append([label(method), ours, printed(paper) if paper else MISSING])
+        rows.append([label(method), _returns(runs), printed(paper) if paper else MISSING])
     return rows
+
+
+def _one_hot(found: Found) -> list[list[str]]:
+    """OHE-SAC with its one-hot and without, beside the paper's, on each family."""
+    rows = []
+    for family in FAMILIES:
+        ours = [_returns(found.runs(family, agent)) for agent in ("onehot", "onehot-blind")]
+        paper = paper_return(family, "onehot")
+        rows.append([NAMES[family], *ours, printed(paper) if paper else MISSING])
+    return rows
+
+
+def _returns(runs: list[Run]) -> str:
+    return f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})" if runs else MISSING
 
 
 def _machines(runs: list[Run]) -> list[str]:
