@@ -6,6 +6,7 @@ seconds, mean return], of one seed or the mean over several.
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,8 @@ def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
         returns = _median_of_five(returns)
         if row in shown:
             index = shown.index(row)
-            style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[index % len(LINES)], "zorder": 3}
+            line = index + index // math.lcm(len(COLOURS), len(LINES))  # or the pairs would come round again
+            style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[line % len(LINES)], "zorder": 3}
             axes.plot(updates / 1000, returns, label=row["trial"], **style)
         else:
             axes.plot(updates / 1000, returns, color="0.7", linewidth=0.8)
