@@ -208,8 +208,8 @@ def test_mjx_step_equals_plain_mujoco_within_measured_tolerance(name):
     for kind, tolerances in zip(("qpos", "qvel"), MJX_TOLERANCES[name], strict=True):
         error = np.abs(getattr(physics, kind) - getattr(steps, kind + "_after")).max(axis=1)
         measured = np.median(error), np.percentile(error, 99), error.max()
-        if jax.default_backend() != "cpu":
-            tolerances = np.multiply(tolerances, (1, 1, 5))  # the cheetah's worst on an H100: 1.5e-4 and 1.9e-2
+        if jax.default_backend() != "cpu" and filename == ROBOTS["halfcheetah-vel"][0]:
+            tolerances = np.multiply(tolerances, (1, 1, 5))  # its worst on an H100: 1.5e-4 and 1.9e-2
         print(f"{name} {kind}: " + ", ".join(f"{value:.1e}" for value in measured))
         assert (np.array(measured) < tolerances).all()
 

@@ -15,10 +15,11 @@ from experiments.report.measures import (
     paper_budget,
     paper_counts,
     paper_return,
+    returns,
     successes,
     task_returns,
 )
-from experiments.report.words import NAMES, label, number, percent, printed, seeds, spread
+from experiments.report.words import NAMES, label, number, percent, printed, seeds
 
 Verdict = tuple[bool, str]  # whether we agree, and what is compared
 MEASURES = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
@@ -96,9 +97,8 @@ def _baselines(found: Found) -> Iterator[Verdict]:
 
 
 def _return_verdict(of: str, runs: list[Run], paper: dict[str, float]) -> Verdict:
-    returns = [mean_return(run) for run in runs]
-    enough = bool(np.mean(returns) >= paper["mean"] - paper["std"])
-    return enough, f"{of}, return: {spread(returns)} ({seeds(runs)}); the paper {printed(paper)}."
+    enough = bool(np.mean([mean_return(run) for run in runs]) >= paper["mean"] - paper["std"])
+    return enough, f"{of}, return: {returns(runs)}; the paper {printed(paper)}."
 
 
 def _budgets(found: Found) -> Iterator[str]:
@@ -156,7 +156,7 @@ def _onehot(found: Found) -> Iterator[str]:
     for family in FAMILIES:
         paper = paper_return(family, "onehot")
         ours = [
-            f"{how} {spread([mean_return(run) for run in runs])} ({seeds(runs)})"
+            f"{how} {returns(runs)}"
             for agent, how in (("onehot", "with its one-hot"), ("onehot-blind", "with the one-hot zeroed"))
             if (runs := found.runs(family, agent))
         ]

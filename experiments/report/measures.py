@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.paper import ANT, CHEETAH, HOPPER, REACH, WALKER, numbers
 from experiments.report.found import Run
-from experiments.report.words import NAMES
+from experiments.report.words import MISSING, NAMES, seeds, spread
 
 BLENDED = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
 BETAS, REACHED = (0.1, 0.9), 0.05  # of `ear interpolate`, which imports JAX
@@ -38,6 +38,11 @@ class Count(NamedTuple):
 def mean_return(run: Run) -> float:
     """The mean over training tasks: what the paper's table 1 compares."""
     return float(np.mean(list(task_returns(run).values())))
+
+
+def returns(runs: Sequence[Run]) -> str:
+    """Their mean return and its spread over seeds, in words."""
+    return f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})" if runs else MISSING
 
 
 def score_table(runs: Sequence[Run]) -> np.ndarray:

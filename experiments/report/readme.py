@@ -12,9 +12,9 @@ from experiments.report import documents, markdown
 from experiments.report.blocks import Table
 from experiments.report.comparison import comparison
 from experiments.report.found import Found, Run
-from experiments.report.measures import mean_return, paper_budget, paper_counts, paper_return, successes, unit
-from experiments.report.sections import TABLES, machine, named, title
-from experiments.report.words import MISSING, NAMES, count, label, number, percent, printed, seeds, span, spread
+from experiments.report.measures import paper_budget, paper_counts, paper_return, returns, successes, unit
+from experiments.report.sections import TABLES, describe_machine, machine, title
+from experiments.report.words import MISSING, NAMES, count, label, number, percent, printed, span
 
 ROOT = Path(__file__).parents[2]
 README, DETAILS = ROOT / "README.md", ROOT / "docs" / "results.md"
@@ -69,7 +69,7 @@ def _family(family: str, runs: list[Run]) -> list[str]:
     theirs = "a curve" if family == REACH else MISSING
     return [
         NAMES[family],
-        _returns(runs),
+        returns(runs),
         printed(paper) if paper else theirs,
         *(_successes(family, runs, what) for what in ("mid_task", "one_to_one")),
         _mapped(family, runs),
@@ -108,7 +108,8 @@ def _shipped(found: Found) -> list[str]:
     return [
         f"`{pretrained.PREFIX}{card['name']}` is of a run of its own: seed {card['seed']} of `{card['command']}`, "
         f"{count(card['env_steps'])} env steps and {count(card['updates'])} updates in {number(card['minutes'])} "
-        f"minutes on {named(card['machine'], card['side_by_side'])}. It returns {number(card['mean_return'])}."
+        f"minutes on {describe_machine(card['machine'], card['side_by_side'])}. "
+        f"It returns {number(card['mean_return'])}."
         for card in map(pretrained.card, pretrained.names())
         if card["record"] not in told
     ]
@@ -119,7 +120,7 @@ def _methods(found: Found) -> list[list[str]]:
     for method in EXPERIMENTS["agents"].methods:
         runs = found.of(method)
         paper = None if method.ablation else paper_return(method.family, method.agent)
-        rows.append([label(method), _returns(runs), printed(paper) if paper else MISSING])
+        rows.append([label(method), returns(runs), printed(paper) if paper else MISSING])
     return rows
 
 
@@ -127,14 +128,10 @@ def _one_hot(found: Found) -> list[list[str]]:
     """OHE-SAC with its one-hot and without, beside the paper's, on each family."""
     rows = []
     for family in FAMILIES:
-        ours = [_returns(found.runs(family, agent)) for agent in ("onehot", "onehot-blind")]
+        ours = [returns(found.runs(family, agent)) for agent in ("onehot", "onehot-blind")]
         paper = paper_return(family, "onehot")
         rows.append([NAMES[family], *ours, printed(paper) if paper else MISSING])
     return rows
-
-
-def _returns(runs: list[Run]) -> str:
-    return f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})" if runs else MISSING
 
 
 def _machines(runs: list[Run]) -> list[str]:

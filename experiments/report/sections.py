@@ -107,10 +107,10 @@ def facts(run: Run) -> list[str]:
 
 def machine(run: Run) -> str:
     """What trained a run, and beside how many."""
-    return named(run.made["machine"], run.config.seeds)
+    return describe_machine(run.made["machine"], run.config.seeds)
 
 
-def named(where: dict[str, Any], seeds: int) -> str:
+def describe_machine(where: dict[str, Any], seeds: int) -> str:
     """A machine as records have it, and how many seeds it trained side by side."""
     processor = f"{where['processor']}, {where['cores']} core{'s'[: where['cores'] > 1]}"
     return where.get("accelerator", processor) + (f", {seeds} seeds side by side" if seeds > 1 else "")
