@@ -159,10 +159,10 @@ class Learner:
     def draw(self, key: jax.Array, updates: int) -> Draws:
         """The randomness of `updates` updates, each leaf [updates, n, …]."""
         n, tasks, settings = self.config.sac.batch_size, self.task_count, self.config.replay
-        keys = jax.random.split(key, 6)
+        keys = jax.random.split(key, 7)
         source, variant = jnp.broadcast_to(self._batch_tasks(), (updates, n)), jnp.zeros((updates, n), jnp.int32)
         if self._symmetry:
-            source, variant = own_by_symmetry(self._symmetry, self.tasks, jax.random.fold_in(key, 1), source)
+            source, variant = own_by_symmetry(self._symmetry, self.tasks, keys[6], source)
         if settings.share_experience:
             anyone = jax.random.randint(keys[0], (updates, n), 0, tasks)
             source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, anyone)

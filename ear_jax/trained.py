@@ -16,7 +16,7 @@ from ear_jax.config import from_dict
 from ear_jax.directory import check_tasks
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError, UsageError
-from ear_jax.export import SUFFIX, read_policy
+from ear_jax.export import SUFFIX, read_policy, write_policy
 from ear_jax.leaves import first_difference, layout, named, rebuilt
 from ear_jax.networks import Params
 from ear_jax.runtime import compiler_options
@@ -110,6 +110,42 @@ def load(path: Path, family: str | None = None, engine: str | None = None) -> Tr
         trained = _from_file(pretrained.find(name), family, engine)
         return replace(trained, name=str(path), directory=pretrained.results(name))
     return (_from_file if path.is_file() else _from_run)(path, family, engine)
+
+
+def save(file: Path, trained: Trained, rows: list[dict[str, Any]]) -> str:
+    """Writes policies to a file that `load` takes, and returns its card; arguments and errors as `describe` and
+    `write_policy`."""
+    about = {name: value for name, value in trained.about.items() if name != "leaves"}
+    card = describe(trained, rows)
+    codes = jax.vmap(trained.program.agent.codes)(trained.policies)
+    write_policy(file, trained.policies, codes, about, card)
+    return card
+
+
+def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
+    """The card: what a person should know who is handed the file.
+
+    Args:
+      trained: the policies.
+      rows: the run's metrics; of them the evaluation of these policies at their epoch is told.
+    """
+    program, about = trained.program, trained.about
+    config, versions = program.config, about["versions"]
+    seeds = range(config.seed, config.seed + config.seeds)
+    found = [row["mean_return"] for row in rows if row["epoch"] == trained.epoch and row["seed"] in seeds]
+    beside = f", one of {about['side_by_side']} trained side by side" if "side_by_side" in about else ""
+    reached = f", mean return {sum(found) / len(found):.1f}" if found else ""
+    return "\n".join(
+        [
+            f"{config.family}, agent {config.agent}, preset {config.preset}, seeds from {config.seed}: {config.seeds}"
+            f"{beside}",
+            f"tasks, in the order of the code table: {', '.join(program.tasks.names)}",
+            f"trained for {trained.epoch} epochs, {program.env_steps(trained.collected):,} env steps and "
+            f"{trained.epoch * config.sac.updates:,} updates a seed{reached}",
+            f"engine {about['engine']}, mujoco {versions['mujoco']}, jax {versions['jax']}, commit {about['commit']}",
+            "policy.* are the networks' parameters [seeds, …], codes the table [seeds, tasks, code]",
+        ]
+    )
 
 
 def _from_run(directory: Path, family: str | None, engine: str | None) -> Trained:

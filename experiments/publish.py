@@ -14,9 +14,8 @@ import tyro
 
 from ear_jax import pretrained, records
 from ear_jax.cli.arguments import parse
-from ear_jax.cli.export import write
 from ear_jax.errors import RunError, UsageError
-from ear_jax.trained import Trained, load, pick
+from ear_jax.trained import Trained, load, pick, save
 from experiments.card import make_card
 from experiments.commands import command_line
 
@@ -77,7 +76,7 @@ def publish(record: Path, name: str | None = None, index: int | None = None) -> 
     with tempfile.TemporaryDirectory() as scratch:
         if seeds > 1:
             policy = Path(scratch) / policy.name
-            write(policy, trained, rows)
+            save(policy, trained, rows)
         content = policy.read_bytes()
     check_size(len(content), name)
     card |= {"record": record.resolve().name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
