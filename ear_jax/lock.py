@@ -15,6 +15,10 @@ from ear_jax.errors import RunError
 NAME = "lock"
 
 
+class InUse(RunError):
+    """Another process holds the directory."""
+
+
 @contextmanager
 def hold(directory: Path, announce: Callable[[str], None]) -> Iterator[None]:
     """Makes a run's directory, and keeps every other process out of it while entered.
@@ -27,7 +31,8 @@ def hold(directory: Path, announce: Callable[[str], None]) -> Iterator[None]:
       announce: told of a process that was killed.
 
     Raises:
-      RunError: another process holds it, or it cannot be made.
+      InUse: another process holds it.
+      RunError: it cannot be made.
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -52,7 +57,7 @@ def _take(lock: int, directory: Path) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise RunError(f"{directory} is in use by {_holder(lock)}; wait for it, or name another --out") from None
+        raise InUse(f"{directory} is in use by {_holder(lock)}; wait for it, or name another --out") from None
     except OSError as error:
         raise RunError(f"cannot lock {directory / NAME}: {error.strerror}") from None
 

@@ -33,7 +33,11 @@ class ListCommand:
 
 @dataclass(frozen=True)
 class ReproduceCommand:
-    """Run what is missing of a table or figure; once more goes on where it stopped."""
+    """Run what is missing of a table or figure; once more goes on where it stopped.
+
+    Several at once share the work: each takes what no other has in hand, as in `taskset -c 1 python -m experiments
+    reproduce table-1`, one for each core.
+    """
 
     id: tyro.conf.Positional[str]
     """As in table-1 or figure-5."""
@@ -85,13 +89,13 @@ def reproduce(words: list[str]) -> None:
         raise unknown("table or figure", command.id, EXPERIMENTS)
     wanted = jobs(EXPERIMENTS[command.id], command.preset, command.seeds, command.minutes)
     wanted = side_by_side(wanted) if command.together else wanted
-    for job in wanted:
-        for line in plan(job):
-            (print if command.dry_run else say)(line)
-        if not command.dry_run:
-            make_whole(job)
-    if not command.dry_run:
-        say(f"{command.id} is whole: {len(wanted)} runs")
+    if command.dry_run:
+        for line in (line for job in wanted for line in plan(job)):
+            print(line)
+        return
+    whole = sum(make_whole(job) for job in wanted)
+    left = len(wanted) - whole
+    say(f"{command.id}: {whole} runs are whole, {left} with others" if left else f"{command.id} is whole: {whole} runs")
 
 
 def check_seeds(seeds: int | None) -> None:

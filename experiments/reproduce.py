@@ -15,11 +15,15 @@ from types import FrameType
 from ear_jax import records
 from ear_jax.config import from_dict, run_name
 from ear_jax.errors import RunError, UsageError
+from ear_jax.lock import InUse, hold
 from ear_jax.stopping import Stopped
+from ear_jax.terminal import say
 from experiments import inventory
 from experiments.commands import RUNS, analysis_words, export_words, is_copied, train_words
 from experiments.inventory import POLICY, Job, is_kept, is_whole, missing
 from experiments.paper import Analysis
+
+IN_HAND = ".reproduce"  # a locked directory a job that a process is at, so that several can share a table
 
 
 def plan(job: Job) -> list[str]:
@@ -31,19 +35,30 @@ def plan(job: Job) -> list[str]:
     return [shlex.join(["ear", *words]) for words in (*training, *(analysis_words(job, one) for one in missing(job)))]
 
 
-def make_whole(job: Job) -> None:
-    """Trains a job and analyses it, as far as that has not been done.
+def make_whole(job: Job) -> bool:
+    """Trains a job and analyses it, as far as that has not been done and no other process is at it.
+
+    Returns:
+      Whether it is whole: another process may have it in hand, and it is left to that.
 
     Raises:
       RunError, Stopped: as `run_ear`; what has been done stays, and the next call goes on from there.
     """
     if is_whole(job):
-        return
-    if not is_kept(job):
-        run_ear(train_words(job))
-        keep(RUNS / job.name, anew=True)
-    for analysis in missing(job):
-        analyse(job, analysis)
+        return True
+    try:
+        with hold(RUNS / IN_HAND / job.name, lambda _: None):
+            for line in plan(job):
+                say(line)
+            if not is_kept(job):
+                run_ear(train_words(job))
+                keep(RUNS / job.name, anew=True)
+            for analysis in missing(job):
+                analyse(job, analysis)
+    except InUse:
+        say(f"{job.name} is left to another process, which is at it")
+        return False
+    return True
 
 
 def analyse(job: Job, analysis: Analysis) -> None:

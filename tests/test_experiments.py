@@ -17,6 +17,7 @@ from ear_jax import records
 from ear_jax.cli import train
 from ear_jax.config import Config, run_name
 from ear_jax.errors import RunError
+from ear_jax.lock import hold
 from ear_jax.presets import preset_config
 from experiments import inventory, reproduce
 from experiments.__main__ import main
@@ -73,6 +74,21 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     (inventory.RECORDS / runs[1] / "evaluation.json").unlink()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     assert workplace == [evaluate.format(runs[1])], "the run is there"
+
+
+def test_several_processes_share_a_table(workplace, capsys):
+    theirs, ours = "ant-dir-ear-fast-seed0", "ant-dir-ear-fast+no-noise-seed0"
+    with hold(reproduce.RUNS / reproduce.IN_HAND / theirs, pytest.fail):
+        assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    said = capsys.readouterr().err
+    assert f"{theirs} is left to another process, which is at it" in said
+    assert "table-8: 1 runs are whole, 1 with others" in said
+    assert [ours in line or "+no-noise" in line for line in workplace] == [True] * 3
+    workplace.clear()
+    assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
+    assert len(workplace) == 3
+    assert not any("+no-noise" in line for line in workplace)
+    assert "table-8 is whole: 2 runs" in capsys.readouterr().err
 
 
 def test_a_record_is_analysed_where_its_run_is_not(workplace, tmp_path):
