@@ -93,9 +93,9 @@ def reproduce(words: list[str]) -> None:
         for line in (line for job in wanted for line in plan(job)):
             print(line)
         return
-    whole = sum(make_whole(job) for job in wanted)
-    left = len(wanted) - whole
-    say(f"{command.id}: {whole} runs are whole, {left} with others" if left else f"{command.id} is whole: {whole} runs")
+    left = len(wanted) - sum(make_whole(job) for job in wanted)
+    all_of_it = f"{command.id} is whole: {len(wanted)} runs"
+    say(f"{command.id}: of {len(wanted)} runs {left} are left to other processes" if left else all_of_it)
 
 
 def check_seeds(seeds: int | None) -> None:

@@ -23,7 +23,7 @@ from experiments.commands import RUNS, analysis_words, export_words, is_copied, 
 from experiments.inventory import POLICY, Job, is_kept, is_whole, missing
 from experiments.paper import Analysis
 
-IN_HAND = ".reproduce"  # a locked directory a job that a process is at, so that several can share a table
+IN_HAND = ".reproduce"  # where a process locks the jobs that it is at, so that several can share a table
 
 
 def plan(job: Job) -> list[str]:
