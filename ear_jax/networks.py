@@ -11,6 +11,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
+from ear_jax.config import NetworkConfig
+from ear_jax.matmul import bfloat16_matmul
+
 Params = Any
 Initialiser = Literal["authors", "fan_in"]
 Activation = Callable[[jax.Array], jax.Array]
@@ -33,20 +36,26 @@ def _by_fan(axis: int) -> nn.initializers.Initializer:
     return lambda key, shape, dtype=jnp.float32: _uniform(shape[axis] ** -0.5)(key, shape, dtype)
 
 
+def _rounded(x: jax.Array, kernel: jax.Array, *_: Any, **__: Any) -> jax.Array:
+    """As `jax.lax.dot_general` is called by Dense, of which one item is [in]."""
+    return bfloat16_matmul(x, kernel)
+
+
 class _Mlp(nn.Module):
     widths: tuple[int, ...]
     out: int
-    initialiser: Initialiser
+    config: NetworkConfig
     layer_norm: bool
     activation: Activation
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
-        authors = self.initialiser == "authors"
+        authors = self.config.initialiser == "authors"
         kernel, last = (_by_fan(1), _uniform(3e-3)) if authors else (_by_fan(0), _by_fan(0))
         bias, last_bias = (nn.initializers.constant(0.1), last) if authors else (nn.initializers.zeros,) * 2
+        rounded = None if self.config.matmul == "float32" else _rounded
         for width in self.widths:
-            x = nn.Dense(width, kernel_init=kernel, bias_init=bias)(x)
+            x = nn.Dense(width, kernel_init=kernel, bias_init=bias, dot_general=rounded)(x)
             if self.layer_norm:
                 x = nn.LayerNorm()(x)
             x = self.activation(x)
@@ -57,16 +66,17 @@ def mlp(
     size: int,
     widths: tuple[int, ...],
     out: int,
-    initialiser: Initialiser,
+    config: NetworkConfig,
     layer_norm: bool = False,
     activation: Activation = jax.nn.relu,
 ) -> Network:
     """Layers of the given widths, ReLU by default, from `size` inputs to `out`; without widths, one linear layer.
 
     Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or
-    by `fan_in` (all weights U(±1/√fan_in), all biases 0).
+    by `fan_in` (all weights U(±1/√fan_in), all biases 0), as `config.initialiser` says. `config.matmul` is what hidden
+    layers multiply; the last layer always multiplies float32.
     """
-    module = _Mlp(widths, out, initialiser, layer_norm, activation)
+    module = _Mlp(widths, out, config, layer_norm, activation)
     return Network(
         lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
     )

@@ -118,7 +118,7 @@ UNREAD: dict[str, tuple[str, ...]] = {
     "ear-rnn": ("maml.*",),
     "pearl": ("maml.*", *_OF_EMBEDDINGS),
     **dict.fromkeys(("onehot", "onehot-blind", "multihead"), ("maml.*", *_OF_EMBEDDINGS, *_OF_A_TASK_ENCODER)),
-    "maml": (*_OF_EMBEDDINGS, *_OF_A_TASK_ENCODER, *_OF_SAC),
+    "maml": ("network.matmul", *_OF_EMBEDDINGS, *_OF_A_TASK_ENCODER, *_OF_SAC),
 }
 
 

@@ -35,12 +35,16 @@ def compiler_options() -> dict[str, Any]:
     """Options for every compiled program of ours.
 
     On the CPU the time goes to matmuls and to MuJoCo, which LLVM does not touch: optimising less compiles the training
-    step 1.5 to 2 times faster, and it runs as fast. XLA's fusions of matmuls with what follows them cost more than they
-    save: with jaxlib 0.10.2 an update under `vmap` takes 1.4 times as long with them, with 0.12 the same.
+    step 1.5 to 2 times faster, and it runs as fast. Of YNNPACK's kernels only those of single matmuls are used, which
+    make use of AMX for bfloat16. Its fusions of matmuls with what follows them cost more than they save: with jaxlib
+    0.10.2 an update under `vmap` takes 1.4 times as long with them, with 0.12 the same.
     """
     if jax.default_backend() != "cpu":
         return {}
-    return {"xla_backend_optimization_level": 1, "xla_cpu_experimental_ynn_fusion_type": ""}
+    return {
+        "xla_backend_optimization_level": 1,
+        "xla_cpu_experimental_ynn_fusion_type": "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT",
+    }
 
 
 def tree_bytes(tree: Any) -> int:

@@ -73,8 +73,9 @@ def make_program(config: Config) -> Program:
     if config.replay.symmetry and family.symmetry is None:
         raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
     sizes = (family.observation_size, family.action_size, len(tasks))
-    agent = make_agent(config.agent, *sizes, config.network, config.sac.lte_noise)
-    return Program(config, family, tasks, agent, make_learner(agent, family, tasks.params, config))
+    learning = make_agent(config.agent, *sizes, config.network, config.sac.lte_noise)
+    agent = make_agent(config.agent, *sizes, replace(config.network, matmul="float32"), config.sac.lte_noise)
+    return Program(config, family, tasks, agent, make_learner(learning, family, tasks.params, config))
 
 
 def make_learner(agent: Agent, family: Family, tasks: TaskParams, config: Config) -> Learner | MetaLearner:

@@ -83,7 +83,7 @@ def _standard(policy: Params, context: Context) -> Context:
 def critic_network(inputs: int, outputs: int, config: NetworkConfig) -> Network:
     """What the critics of all agents are made of: ReLU layers, normalised where the settings say so."""
     widths = (config.width,) * config.critic_layers
-    return mlp(inputs, widths, outputs, config.initialiser, config.critic_layer_norm)
+    return mlp(inputs, widths, outputs, config, config.critic_layer_norm)
 
 
 def _count(init: Callable[[jax.Array], Params]) -> int:

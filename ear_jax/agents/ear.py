@@ -20,11 +20,9 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
       lte_noise: σ of the noise added to an LTE, before it is normalised again (algorithm 1).
     """
     widths = (config.width,)
-    encoder = mlp(obs_size, widths * config.encoder_layers, config.lse_size, config.initialiser)
-    task_encoder = mlp(tasks, (config.task_width,) * config.task_layers, config.lte_size, config.initialiser)
-    decoder = mlp(
-        config.lse_size + config.lte_size, widths * config.decoder_layers, 2 * action_size, config.initialiser
-    )
+    encoder = mlp(obs_size, widths * config.encoder_layers, config.lse_size, config)
+    task_encoder = mlp(tasks, (config.task_width,) * config.task_layers, config.lte_size, config)
+    decoder = mlp(config.lse_size + config.lte_size, widths * config.decoder_layers, 2 * action_size, config)
     critic = critic_network(obs_size + action_size + tasks, 1, config)
     on_lse_sphere = unit if config.normalise_lse else lambda lse: lse
     on_lte_sphere = unit if config.normalise_lte else lambda lte: lte

@@ -32,9 +32,9 @@ def ear_rnn(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, 
     codes_size = config.lse_size + config.lte_size
     layers = {
         "encoder_rnn": recurrent_layer(size, width, config.initialiser),
-        "encoder": mlp(width, (width,) * (config.encoder_layers - 1), config.lse_size, config.initialiser),
+        "encoder": mlp(width, (width,) * (config.encoder_layers - 1), config.lse_size, config),
         "decoder_rnn": recurrent_layer(codes_size, width, config.initialiser),
-        "decoder": mlp(width, (width,) * (config.decoder_layers - 1), 2 * action_size, config.initialiser),
+        "decoder": mlp(width, (width,) * (config.decoder_layers - 1), 2 * action_size, config),
     }
     on_lse_sphere = unit if config.normalise_lse else lambda lse: lse
 

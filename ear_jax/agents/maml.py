@@ -24,7 +24,7 @@ def maml(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte
       lte_noise: has no use here.
     """
     widths = (config.width,) * config.decoder_layers
-    network = mlp(obs_size, widths, action_size, config.initialiser, activation=jnp.tanh)
+    network = mlp(obs_size, widths, action_size, config, activation=jnp.tanh)
 
     def init_policy(key: jax.Array) -> Params:
         return {"network": network.init(key), "log_std": jnp.zeros(action_size)}

@@ -22,7 +22,7 @@ def multihead(obs_size: int, action_size: int, tasks: int, config: NetworkConfig
       config: widths, and the depths of decoder and critics without their heads.
       lte_noise: has no use here: there is no LTE.
     """
-    actor = mlp(obs_size, (config.width,) * config.decoder_layers, tasks * 2 * action_size, config.initialiser)
+    actor = mlp(obs_size, (config.width,) * config.decoder_layers, tasks * 2 * action_size, config)
     critic = critic_network(obs_size + action_size, tasks, config)
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:

@@ -37,7 +37,7 @@ def onehot_blind(obs_size: int, action_size: int, tasks: int, config: NetworkCon
 def _onehot(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, shown: float) -> Agent:
     """`shown`: what every code and one-hot is multiplied by."""
     widths = (config.width,) * config.decoder_layers
-    actor = mlp(obs_size + tasks, widths, 2 * action_size, config.initialiser)
+    actor = mlp(obs_size + tasks, widths, 2 * action_size, config)
     critic = critic_network(obs_size + action_size + tasks, 1, config)
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:

@@ -27,8 +27,8 @@ def pearl(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lt
       lte_noise: has no use here: codes are drawn from a belief.
     """
     size = config.lte_size
-    encoder = mlp(obs_size + action_size + 1, (config.task_width,) * config.task_layers, 2 * size, config.initialiser)
-    actor = mlp(obs_size + size, (config.width,) * config.decoder_layers, 2 * action_size, config.initialiser)
+    encoder = mlp(obs_size + action_size + 1, (config.task_width,) * config.task_layers, 2 * size, config)
+    actor = mlp(obs_size + size, (config.width,) * config.decoder_layers, 2 * action_size, config)
     critic = critic_network(obs_size + action_size + size, 1, config)
 
     def init_policy(key: jax.Array) -> Params:
