@@ -37,6 +37,7 @@ format: setup
 bench: setup
 	$(BIN)/python -m benchmarks.physics
 	$(BIN)/python -m benchmarks.update
+	$(BIN)/python -m benchmarks.matmul
 	$(BIN)/python -m benchmarks.chunk
 	$(BIN)/python -m benchmarks.startup
 	$(BIN)/python -m benchmarks.adaptation

@@ -16,16 +16,14 @@ import venv
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
-import flax.linen as nn
 import jax
-import jax.numpy as jnp
 
 from benchmarks import common
 from benchmarks.chunk import epoch_run
+from benchmarks.matmul import with_matmul
 from benchmarks.update import filled, update_run
-from ear_jax import networks, train
+from ear_jax import train
 from ear_jax.config import Config
 from ear_jax.presets import preset_config
 
@@ -63,21 +61,15 @@ def torch_settings(config: Config, program: train.Program, updates: int) -> dict
     return {**dataclasses.asdict(config.network), **dataclasses.asdict(config.sac), **sizes}
 
 
-def bf16_dot(left: jax.Array, right: jax.Array, dimensions: Any, **_: Any) -> jax.Array:
-    """As PyTorch's bf16 has it: products of bf16 numbers, added up as float32."""
-    left, right = left.astype(jnp.bfloat16), right.astype(jnp.bfloat16)
-    return jax.lax.dot_general(left, right, dimensions, preferred_element_type=jnp.float32)
-
-
 def measure_update(options: argparse.Namespace, preset: str, updates: int, repeats: int) -> None:
     """An update of ours and of PyTorch's, each with float32 and with bf16 matmuls."""
     config = preset_config(FAMILY, preset)
     program = train.make_program(config)
     state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
-    ours = {"ours_ms": update_run(program, state, updates), "ours_bf16_ms": update_run(program, state, updates)}
-    ours["ours_ms"]()
-    with mock.patch.object(networks.nn, "Dense", partial(nn.Dense, dot_general=bf16_dot)):
-        ours["ours_bf16_ms"]()  # traced and compiled here
+    rounding = train.make_program(with_matmul(config, "bfloat16"))
+    ours = {"ours_ms": update_run(program, state, updates), "ours_bf16_ms": update_run(rounding, state, updates)}
+    for update in ours.values():
+        update()  # compiled here
     settings = torch_settings(config, program, updates)
     figures: dict[str, list[float]] = {name: [] for name in (*ours, "torch_ms", "torch_bf16_ms")}
     version = ""

@@ -15,7 +15,10 @@ ALONG_LAST = (((1,), (1,)), ((), ()))
 
 @jax.custom_batching.custom_vmap
 def bfloat16_matmul(x: jax.Array, kernel: jax.Array) -> jax.Array:
-    """One item x [in] by a kernel [in, out], as `flax.linen.Dense` has them; cannot be differentiated forwards."""
+    """One item x [in] by a kernel [in, out], as `flax.linen.Dense` has them.
+
+    It is differentiated for a batch: its gradient, backwards alone, is that of a function that vmaps it.
+    """
     return _of_batch(x[None], kernel)[0]
 
 

@@ -47,6 +47,14 @@ def compiler_options() -> dict[str, Any]:
     }
 
 
+def has_amx() -> bool:
+    """Whether the processor multiplies bfloat16 matrices by an instruction of its own (Linux tells; no: not known)."""
+    try:
+        return "amx_bf16" in Path("/proc/cpuinfo").read_text().split()
+    except OSError:
+        return False
+
+
 def tree_bytes(tree: Any) -> int:
     """The size of a pytree of arrays or of their shapes."""
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))

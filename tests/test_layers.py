@@ -13,6 +13,7 @@ PACKAGE = Path(ear_jax.__file__).parent
 # From the bottom up; a module may import only from rows above its own, or from its own package.
 LAYERS = [
     {"errors", "quiet", "stopping"},
+    {"config", "matmul"},
     {
         "records",
         "manifest",
@@ -20,7 +21,6 @@ LAYERS = [
         "safetensors",
         "leaves",
         "tasks",
-        "config",
         "physics",
         "networks",
         "policy",

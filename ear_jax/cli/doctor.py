@@ -62,7 +62,7 @@ def _running() -> dict[str, Any]:
     import jax
 
     from ear_jax.physics import choose_engine
-    from ear_jax.runtime import available_bytes, cache_dir, compiler_options
+    from ear_jax.runtime import available_bytes, cache_dir, compiler_options, has_amx
 
     memory = available_bytes()
     return {
@@ -71,6 +71,7 @@ def _running() -> dict[str, Any]:
             "devices": [str(device.device_kind) for device in jax.local_devices()],
             "free_memory_gb": None if memory is None else round(memory / 1e9, 1),
             "matmul_precision": getattr(jax.config, "jax_default_matmul_precision", None) or "default",
+            "amx": has_amx(),
         },
         "engine": choose_engine("auto"),
         "compiler_options": compiler_options(),
