@@ -191,6 +191,27 @@ class Learner:
         Returns:
           The next state, and what to watch: scalars, and `sound` [tasks], whether each task's loss was finite.
         """
+        (policy_grad, critic_grad, temperature_grad), watched = self._gradients(state, buffer, draws)
+        policy, policy_optimiser = self._apply(policy_grad, state.policy_optimiser, state.policy)
+        critics, critic_optimiser = jax.vmap(self._apply)(critic_grad, state.critic_optimiser, state.critics)
+        log_temperature, temperature_optimiser = self._apply(
+            temperature_grad, state.temperature_optimiser, state.log_temperature
+        )
+        state = LearnerState(
+            policy=policy,
+            critics=critics,
+            target_critics=optax.incremental_update(critics, state.target_critics, self.config.sac.tau),
+            log_temperature=log_temperature,
+            policy_optimiser=policy_optimiser,
+            critic_optimiser=critic_optimiser,
+            temperature_optimiser=temperature_optimiser,
+        )
+        return state, watched
+
+    def _gradients(
+        self, state: LearnerState, buffer: Replay, draws: Draws
+    ) -> tuple[tuple[Params, Params, jax.Array], dict[str, jax.Array]]:
+        """Of the policy, the critics and the temperature's logarithm; and what to watch."""
         batch = self._batch(buffer, draws)
         temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
         inferred, _ = self._table(state.policy, buffer, draws)
@@ -217,23 +238,7 @@ class Learner:
         of_both = jax.value_and_grad(critic_objective, argnums=(0, 1), has_aux=True)
         (critic_loss, values), (critic_grad, belief_grad) = of_both(state.critics, state.policy)
         (actor_loss, log_prob), actor_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
-        actor_grad = jax.tree.map(jnp.add, actor_grad, belief_grad)  # which is none where codes are not inferred
-        temperature_grad = jax.grad(temperature_objective)(state.log_temperature)
-
-        policy, policy_optimiser = self._apply(actor_grad, state.policy_optimiser, state.policy)
-        critics, critic_optimiser = jax.vmap(self._apply)(critic_grad, state.critic_optimiser, state.critics)
-        log_temperature, temperature_optimiser = self._apply(
-            temperature_grad, state.temperature_optimiser, state.log_temperature
-        )
-        state = LearnerState(
-            policy=policy,
-            critics=critics,
-            target_critics=optax.incremental_update(critics, state.target_critics, self.config.sac.tau),
-            log_temperature=log_temperature,
-            policy_optimiser=policy_optimiser,
-            critic_optimiser=critic_optimiser,
-            temperature_optimiser=temperature_optimiser,
-        )
+        policy_grad = jax.tree.map(jnp.add, actor_grad, belief_grad)  # the latter is 0 where codes are not inferred
         loss = jnp.sum((values - target) ** 2, axis=0) + log_prob  # [n], task by task
         watched = {
             "sound": jnp.all(jnp.isfinite(loss).reshape(self.task_count, -1), axis=1),
@@ -243,7 +248,7 @@ class Learner:
             "entropy": -jnp.mean(log_prob),
             "q_value": jnp.mean(values),
         }
-        return state, watched
+        return (policy_grad, critic_grad, jax.grad(temperature_objective)(state.log_temperature)), watched
 
     def _batch_tasks(self) -> jax.Array:
         """Which task each item of a batch teaches, int32 [n]: all equally often."""
