@@ -73,7 +73,8 @@ def update_run(program: Program, state: train.TrainState, updates: int) -> Any:
         draws = program.learner.draw(key, updates)
         return jax.lax.scan(lambda learner, draws: program.learner.update(learner, buffer, draws), learner, draws)[0]
 
-    run = jax.jit(jax.vmap(one_seed), compiler_options=runtime.compiler_options())
+    options = runtime.compiler_options(program.config.network.matmul)
+    run = jax.jit(jax.vmap(one_seed), compiler_options=options)
     return lambda: jax.block_until_ready(run(state.learner, state.replay, state.key))
 
 

@@ -75,9 +75,10 @@ def times(config: Config) -> Times:
         steps, updates = collect.steps, sac.updates
     few = replace(config, collect=replace(collect, steps=steps), sac=replace(sac, updates=updates))
     program, keys = train.make_program(few), train.seed_keys(few)
+    compiler_options = runtime.compiler_options(config.network.matmul)
 
     def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-        return jax.jit(jax.vmap(function), compiler_options=runtime.compiler_options(), **options)
+        return jax.jit(jax.vmap(function), compiler_options=compiler_options, **options)
 
     def evaluate(policy: Params, key: jax.Array) -> Episodes:
         return play_training_tasks(program, policy, key, config.log.episodes)

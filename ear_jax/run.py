@@ -112,7 +112,7 @@ def compile_program(program: Program, keys: jax.Array) -> Compiled:
 
     init = over_seeds(partial(train.init, program), seeds, (0,))
     collect = over_seeds(partial(train.collect, program), seeds, (0,), donate_argnums=0)
-    learn = over_seeds(partial(train.learn, program), seeds, (0,), donate_argnums=0)
+    learn = over_seeds(partial(train.learn, program), seeds, (0,), program.config.network.matmul, donate_argnums=0)
     play = over_seeds(evaluate, seeds, (0, 0))
     state = jax.eval_shape(init, keys)
     with ThreadPoolExecutor() as pool:

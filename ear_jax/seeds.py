@@ -24,7 +24,13 @@ def spread(seeds: int) -> NamedSharding:
     return NamedSharding(mesh, PartitionSpec(AXIS))
 
 
-def over_seeds(function: Callable[..., Any], seeds: int, in_axes: tuple[int | None, ...], **options: Any) -> Any:
+def over_seeds(
+    function: Callable[..., Any],
+    seeds: int,
+    in_axes: tuple[int | None, ...],
+    matmul: str = "float32",
+    **options: Any,
+) -> Any:
     """Compiles a function of one seed for all of them.
 
     Each device runs its own seeds by themselves: none waits for another, and an engine that calls the host is called
@@ -34,11 +40,13 @@ def over_seeds(function: Callable[..., Any], seeds: int, in_axes: tuple[int | No
       function: of one seed; what it returns gets a leading axis [seeds].
       seeds: how many.
       in_axes: for each argument 0, where it has that axis too, or None.
+      matmul: what it mostly multiplies, as in `network.matmul`.
       options: more of `jax.jit`'s.
     """
     mapped, sharding = jax.vmap(function, in_axes), spread(seeds)
+    options["compiler_options"] = compiler_options(matmul)
     if devices_for(seeds) == 1:
-        return jax.jit(mapped, compiler_options=compiler_options(), **options)
+        return jax.jit(mapped, **options)
     everywhere = NamedSharding(sharding.mesh, PartitionSpec())
     places = tuple(everywhere if axis is None else sharding for axis in in_axes)
     spread_out = jax.shard_map(
@@ -48,6 +56,4 @@ def over_seeds(function: Callable[..., Any], seeds: int, in_axes: tuple[int | No
         out_specs=sharding.spec,
         check_vma=False,  # it cannot see through the callbacks of the native engine
     )
-    return jax.jit(
-        spread_out, in_shardings=places, out_shardings=sharding, compiler_options=compiler_options(), **options
-    )
+    return jax.jit(spread_out, in_shardings=places, out_shardings=sharding, **options)
