@@ -35,17 +35,17 @@ def compiler_options(matmul: str = "float32") -> dict[str, Any]:
     """Options for every compiled program of ours.
 
     On the CPU the time goes to matmuls and to MuJoCo, which LLVM does not touch: optimising less compiles the training
-    step 1.5 to 2 times faster, and it runs as fast. YNNPACK makes use of AMX, so it has the single matmuls of what
-    learns in bfloat16. With float32 it is up to a seventh slower at that, and its fusions of matmuls with what follows
-    them cost more than they save: with jaxlib 0.10.2 an update under `vmap` takes 1.4 times as long with them, with
-    0.12 the same.
+    step 1.5 to 2 times faster, and it runs as fast. YNNPACK makes use of AMX, so where there is that it has the single
+    matmuls of what learns in bfloat16. With float32 it is up to a seventh slower at that, and its fusions of matmuls
+    with what follows them cost more than they save: with jaxlib 0.10.2 an update under `vmap` takes 1.4 times as long
+    with them, with 0.12 the same.
 
     Args:
       matmul: what most of the program's matmuls multiply, as in `network.matmul`.
     """
     if jax.default_backend() != "cpu":
         return {}
-    fused = "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT" if matmul == "bfloat16" else ""
+    fused = "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT" if matmul == "bfloat16" and has_amx() else ""
     return {"xla_backend_optimization_level": 1, "xla_cpu_experimental_ynn_fusion_type": fused}
 
 
