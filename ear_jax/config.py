@@ -186,14 +186,15 @@ def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> A
 
 def flat(config: Config) -> dict[str, Any]:
     """Every setting by its name, as in sac.lr."""
+    return flat_tree(dataclasses.asdict(config))
 
-    def settings(tree: dict[str, Any], where: str) -> dict[str, Any]:
-        found: dict[str, Any] = {}
-        for name, value in tree.items():
-            found |= settings(value, f"{where}{name}.") if isinstance(value, dict) else {where + name: value}
-        return found
 
-    return settings(dataclasses.asdict(config), "")
+def flat_tree(tree: dict[str, Any], where: str = "") -> dict[str, Any]:
+    """Nested dictionaries as one, by names as in sac.lr."""
+    found: dict[str, Any] = {}
+    for name, value in tree.items():
+        found |= flat_tree(value, f"{where}{name}.") if isinstance(value, dict) else {where + name: value}
+    return found
 
 
 def check(config: Config, tasks: int) -> None:

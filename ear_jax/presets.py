@@ -5,7 +5,7 @@ from __future__ import annotations
 from fnmatch import fnmatch
 from typing import Any
 
-from ear_jax.config import Config, flag, flat, from_dict
+from ear_jax.config import Config, flag, flat, flat_tree, from_dict
 from ear_jax.errors import UsageError, unknown
 
 # The defaults are the paper's for HalfCheetah-Vel.
@@ -96,12 +96,13 @@ AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
     ("fast", "ear-rnn"): {**_RECURRENT, "epochs": 110, "sac": {"lr_decay": 44_000}},
 }
 
-# What a preset's name may go on with after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), and
-# the hidden layer that the authors' code has in the task encoder.
-ABLATIONS: dict[str, dict[str, Any]] = {
+# What a preset's name may go on with after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), the
+# hidden layer that the authors' code has in the task encoder, and networks that an hour of one core is too short for.
+VARIANTS: dict[str, dict[str, Any]] = {
     "no-noise": {"sac": {"lte_noise": 0.0}},
     "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
     "task-hidden": {"network": {"task_layers": 1}},
+    "wide": {"network": {"width": 512, "matmul": "bfloat16"}},
 }
 
 
@@ -126,7 +127,7 @@ def check_effect(config: Config) -> None:
     """Refuses a setting that differs from the preset's and that the agent does not read; raises UsageError."""
     preset, mine = flat(preset_config(config.family, config.preset, config.agent)), flat(config)
     for name, value in mine.items():
-        if value != preset[name] and any(fnmatch(name, unread) for unread in UNREAD.get(config.agent, ())):
+        if value != preset[name] and _is_unread(name, config.agent):
             raise UsageError(f"{flag(name)} {value} would change nothing: agent {config.agent!r} has no use for it")
 
 
@@ -135,24 +136,29 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
 
     Args:
       family: a family's name.
-      preset: `paper`, `fast` or `smoke`, alone or with ablations, as in `fast+no-noise+no-norm`.
+      preset: `paper`, `fast` or `smoke`, alone or with variants, as in `fast+no-noise+no-norm`.
       agent: an agent's name.
 
     Raises:
-      UsageError: no such preset or ablation, or an agent that has nothing to ablate.
+      UsageError: no such preset or variant, or one that changes what the agent does not read.
     """
-    base, *ablations = preset.split("+")
+    base, *variants = preset.split("+")
     if base not in PRESETS:
         raise unknown("preset", base, PRESETS)
     changes = _merge(PRESETS[base], FAMILY_PRESETS.get((base, family), {}))
     changes = _merge(changes, AGENT_PRESETS.get((base, agent), {}))
-    for ablation in ablations:
-        if ablation not in ABLATIONS:
-            raise unknown("ablation", ablation, ABLATIONS)
-        if not agent.startswith("ear"):
-            raise UsageError(f"agent {agent!r} has no embeddings, so that --preset {preset} would change nothing")
-        changes = _merge(changes, ABLATIONS[ablation])
+    for variant in variants:
+        if variant not in VARIANTS:
+            raise unknown("variant of a preset", variant, VARIANTS)
+        for name in flat_tree(VARIANTS[variant]):
+            if _is_unread(name, agent):
+                raise UsageError(f"agent {agent!r} has no use for {flag(name)}, which --preset {preset} sets")
+        changes = _merge(changes, VARIANTS[variant])
     return from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+
+
+def _is_unread(name: str, agent: str) -> bool:
+    return any(fnmatch(name, unread) for unread in UNREAD.get(agent, ()))
 
 
 def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:

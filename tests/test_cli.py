@@ -65,7 +65,7 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("train halfcheeta-vel", "did you mean 'halfcheetah-vel'"),
         ("train halfcheetah-vel --preset fats", "did you mean 'fast'"),
         ("train halfcheetah-vel --preset fast+no-nose", "did you mean 'no-noise'"),
-        ("train halfcheetah-vel --preset fast+no-norm --agent onehot", "would change nothing"),
+        ("train halfcheetah-vel --preset fast+no-norm --agent onehot", "has no use for --network.normalise-lse"),
         ("train halfcheetah-vel --sac.lrr 1", "did you mean --sac.lr?"),
         ("train halfcheetah-vel --sac.lr abc", "could not convert string to float: 'abc'"),
         ("train halfcheetah-vel --sac.lr -1", "must be above 0"),
@@ -159,13 +159,15 @@ def test_settings_override_the_preset():
     assert config.sac.batch_size == 240
 
 
-def test_a_preset_goes_on_with_ablations():
+def test_a_preset_goes_on_with_variants():
     config = read(["ant-dir", "--preset", "paper+no-noise+no-norm"]).config
     assert (config.preset, config.sac.batch_size, config.sac.lte_noise) == ("paper+no-noise+no-norm", 1920, 0.0)
     assert (config.network.normalise_lse, config.network.normalise_lte) == (False, False)
     config = read(["ant-dir", "--preset=fast+task-hidden", "--network.task-width", "64"]).config
     assert (config.network.task_layers, config.network.task_width, config.sac.lte_noise) == (1, 64, 0.02)
     assert default_directory(config) == Path("runs/ant-dir-ear-fast+task-hidden-seed0")
+    config = read(["ant-dir", "--agent=onehot", "--preset=fast+wide"]).config
+    assert (config.network.width, config.network.matmul, config.network.critic_layers) == (512, "bfloat16", 2)
 
 
 def test_multihead_has_its_own_depth_and_clip_under_paper():
