@@ -19,15 +19,8 @@ from experiments.paper import Analysis, Experiment, Method
 
 RECORDS = Path(__file__).with_name("records")
 POLICY = "policy.safetensors"
-BUDGET = (
-    "seed",
-    "seeds",
-    "epochs",
-    "minutes",
-    "engine",
-    "log",
-    "checkpoint",
-)  # settings by which a run is no other run
+# Settings by which a run is no other run: how long it may go on and what is watched, and what the others are called.
+BUDGET = ("seed", "seeds", "epochs", "minutes", "engine", "log", "checkpoint", "preset")
 
 
 @dataclass(frozen=True)
@@ -65,7 +58,7 @@ def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes:
     """
 
     def job(method: Method, seed: int) -> Job:
-        config = preset_config(method.family, preset + method.ablation, method.agent)
+        config = preset_config(method.family, preset + method.variant, method.agent)
         return Job(dataclasses.replace(config, seed=seed, minutes=minutes), method.analyses)
 
     return [job(method, seed) for seed in range(seeds or experiment.seeds) for method in experiment.methods]

@@ -31,7 +31,7 @@ class Method:
 
     family: str
     agent: str
-    ablation: str  # what the preset's name goes on with, as in +no-noise
+    variant: str  # what the preset's name goes on with, as in +no-noise
     analyses: tuple[Analysis, ...]
 
 
@@ -49,10 +49,10 @@ def methods(
     families: tuple[str, ...],
     *analyses: Analysis,
     agents: tuple[str, ...] = ("ear",),
-    ablations: tuple[str, ...] = ("",),
+    variants: tuple[str, ...] = ("",),
 ) -> tuple[Method, ...]:
-    """Every agent and ablation on every family."""
-    return tuple(Method(*names, analyses) for names in product(families, agents, ablations))
+    """Every agent and variant on every family."""
+    return tuple(Method(*names, analyses) for names in product(families, agents, variants))
 
 
 def between(kind: str, first: str, second: str, *options: str) -> Analysis:
@@ -74,6 +74,7 @@ def numbers() -> dict[str, Any]:
 CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper-vel", "walker-vel")
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
+WIDE = "+wide"
 
 EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
@@ -97,19 +98,18 @@ TABLES = (
     Experiment(
         "table-1",
         "final returns of all methods",
-        methods(FAMILIES, EVALUATION, agents=(*OFF_POLICY, "maml", "onehot-blind")),
+        methods(FAMILIES, EVALUATION, variants=("", WIDE))
+        + methods(FAMILIES, EVALUATION, agents=("pearl", "multihead", "onehot", "maml", "onehot-blind")),
     ),
     Experiment("table-2", "hyperparameters"),
     Experiment("table-3", "training tasks of each method"),
     Experiment("table-4", "2 and 3 m/s interpolated", methods((CHEETAH,), EVALUATION, *MET)),
     Experiment("table-5", "success of interpolation", methods(FAMILIES, INTERPOLATION)),
     Experiment("table-6", "extrapolation", methods((CHEETAH,), *SPEEDS_BEYOND) + methods((ANT,), *DIRECTIONS_BEYOND)),
+    Experiment("table-7", "where episodes end without LTE noise", methods((ANT,), EVALUATION, variants=("+no-noise",))),
+    Experiment("table-8", "failures without LTE noise", methods((ANT,), EVALUATION, variants=("", "+no-noise"))),
     Experiment(
-        "table-7", "where episodes end without LTE noise", methods((ANT,), EVALUATION, ablations=("+no-noise",))
-    ),
-    Experiment("table-8", "failures without LTE noise", methods((ANT,), EVALUATION, ablations=("", "+no-noise"))),
-    Experiment(
-        "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, ablations=("", "+no-norm"))
+        "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, variants=("", "+no-norm"))
     ),
     Experiment("table-10", "composition", methods((RUN_JUMP,), EVALUATION, *COMPOSED)),
     Experiment("table-11", "mid-task interpolation, HalfCheetah-Vel", methods((CHEETAH,), INTERPOLATION)),
@@ -136,19 +136,22 @@ FIGURES = (
     Experiment("figure-9", "returns of each speed during training", methods((CHEETAH,))),
     Experiment("figure-10", "Metaworld-Reach: returns during training", methods((REACH,), agents=OFF_POLICY)),
     Experiment("figure-11", "Metaworld-Reach: adaptation", methods((REACH,), ADAPTATION, agents=("ear", "pearl"))),
-    Experiment("figure-12", "training without LTE noise", methods((ANT,), ablations=("", "+no-noise"))),
-    Experiment("figure-13", "training without normalisation", methods((ANT,), ablations=("", "+no-norm"))),
-    Experiment(
-        "figure-14", "adaptation without normalisation", methods((ANT,), ADAPTATION, ablations=("", "+no-norm"))
-    ),
+    Experiment("figure-12", "training without LTE noise", methods((ANT,), variants=("", "+no-noise"))),
+    Experiment("figure-13", "training without normalisation", methods((ANT,), variants=("", "+no-norm"))),
+    Experiment("figure-14", "adaptation without normalisation", methods((ANT,), ADAPTATION, variants=("", "+no-norm"))),
 )
 OURS = (
     Experiment(
         "agents",
         "agents and ablations on HalfCheetah-Vel",
         methods((CHEETAH,), EVALUATION, agents=("ear", "onehot", "onehot-blind", "multihead", "ear-rnn", "pearl"))
-        + methods((CHEETAH,), EVALUATION, INTERPOLATION, ablations=("+no-noise", "+no-norm", "+no-noise+no-norm")),
+        + methods((CHEETAH,), EVALUATION, INTERPOLATION, variants=("+no-noise", "+no-norm", "+no-noise+no-norm")),
         seeds=2,
+    ),
+    Experiment(
+        "wide",
+        "EAR with networks twice as wide",
+        methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", WIDE)),
     ),
     Experiment(
         "reach",

@@ -54,7 +54,7 @@ def write_run(directory: Path, config: Config, **row: float) -> None:
 
 def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    runs = [f"ant-dir-ear-fast{ablation}-seed0" for ablation in ("", "+no-noise")]
+    runs = [f"ant-dir-ear-fast{variant}-seed0" for variant in ("", "+no-noise")]
     train, evaluate = "train ant-dir --agent ear --preset fast", "evaluate runs/{} --episodes 5 --json"
     export = "export runs/{0} records/{0}/policy.safetensors"
     assert workplace == [
@@ -74,6 +74,13 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     (inventory.RECORDS / runs[1] / "evaluation.json").unlink()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     assert workplace == [evaluate.format(runs[1])], "the run is there"
+
+
+def test_a_run_whose_flags_make_a_variant_counts_as_that(workplace):
+    job = jobs(EXPERIMENTS["wide"], "fast", 1)[3]
+    assert (job.name, is_trained(job)) == ("ant-dir-ear-fast+wide-seed0", False)
+    write_run(inventory.RECORDS / job.name, dataclasses.replace(job.config, preset="fast"))
+    assert is_trained(job)
 
 
 def test_several_processes_share_a_table(workplace, capsys):

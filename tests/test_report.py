@@ -113,8 +113,8 @@ def test_directions_are_compared_the_short_way_round(place):
 
 
 def test_failures_without_noise(place):
-    for ablation, lengths in (("", [200, 200]), ("+no-noise", [200, 150])):
-        directory = record("ant-dir", preset=f"fast{ablation}")
+    for variant, lengths in (("", [200, 200]), ("+no-noise", [200, 150])):
+        directory = record("ant-dir", preset=f"fast{variant}")
         tasks = [
             {
                 "name": f"dir-{name}",
@@ -168,6 +168,15 @@ def test_a_run_of_an_earlier_recipe_is_shown_with_what_was_otherwise(place):
     assert row[1:3] == ["seed 0", "900 of 900"]
     assert row[-1] == "sac.lr 0.0003"
     assert "`ear train halfcheetah-vel --epochs 900 --minutes 15 --sac.lr 0.0003`" in section("table-11", place / "out")
+
+
+def test_a_run_whose_flags_make_a_variant_is_that_variants(place):
+    network = dataclasses.replace(preset_config("ant-dir", "fast").network, width=512, matmul="bfloat16")
+    record("ant-dir", network=network)
+    assert Found("fast").runs("ant-dir") == []
+    (run,) = Found("fast").runs("ant-dir", variant="+wide")
+    assert run.changes == {}
+    assert "`ear train ant-dir --preset fast+wide`" in section("wide", place / "out")
 
 
 def test_of_two_runs_of_a_seed_that_with_todays_settings_is_told_of(place):

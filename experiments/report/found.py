@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 from dataclasses import dataclass
@@ -11,14 +12,14 @@ from typing import Any
 
 from ear_jax import records
 from ear_jax.config import Config, flat, from_dict
-from ear_jax.errors import RunError
-from ear_jax.presets import preset_config
+from ear_jax.errors import RunError, UsageError
+from ear_jax.presets import VARIANTS, preset_config
 from experiments import inventory
 from experiments.commands import command_line
 from experiments.inventory import BUDGET
 from experiments.paper import Experiment, Method
 
-Key = tuple[str, str, str]  # family, agent, preset with its ablations
+Key = tuple[str, str, str]  # family, agent, preset with its variants
 
 
 @dataclass(frozen=True)
@@ -44,14 +45,17 @@ class Run:
 
     @cached_property
     def config(self) -> Config:
-        """Its settings; those that are no more are left out, and those that came later had their defaults."""
+        """Its settings; those that are no more are left out, and those that came later had their defaults.
+
+        If flags made them those of a preset's variant, they are called that.
+        """
         known = dataclasses.asdict(Config(family=""))
 
         def keep(tree: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
             kept = {name: value for name, value in tree.items() if name in known}
             return {name: keep(one, known[name]) if isinstance(one, dict) else one for name, one in kept.items()}
 
-        return from_dict(keep(self.made["config"], known))
+        return _named(from_dict(keep(self.made["config"], known)))
 
     @property
     def command(self) -> str:
@@ -61,12 +65,7 @@ class Run:
     @cached_property
     def changes(self) -> dict[str, Any]:
         """Settings that its preset has otherwise today, as this run had them; not what only bounds or watches a run."""
-        today = flat(preset_config(self.config.family, self.config.preset, self.config.agent))
-        return {
-            name: value
-            for name, value in flat(self.config).items()
-            if name.split(".")[0] not in BUDGET and value != today[name]
-        }
+        return _changes(self.config)
 
     def document(self, name: str) -> dict[str, Any] | None:
         """An analysis of the run; None where there is none.
@@ -85,7 +84,7 @@ class Run:
 
 
 class Found:
-    """All recorded runs of a preset and its ablations."""
+    """All recorded runs of a preset and its variants."""
 
     def __init__(self, preset: str):
         self.preset = preset
@@ -98,13 +97,13 @@ class Found:
             if run.seed not in seeds or _rank(seeds[run.seed]) < _rank(run):
                 seeds[run.seed] = run
 
-    def runs(self, family: str, agent: str = "ear", ablation: str = "") -> list[Run]:
+    def runs(self, family: str, agent: str = "ear", variant: str = "") -> list[Run]:
         """A method's runs in the order of their seeds; of two of one seed that of today's settings, or more updates."""
-        seeds = self._runs.get((family, agent, self.preset + ablation), {})
+        seeds = self._runs.get((family, agent, self.preset + variant), {})
         return [seeds[seed] for seed in sorted(seeds)]
 
     def of(self, method: Method) -> list[Run]:
-        return self.runs(method.family, method.agent, method.ablation)
+        return self.runs(method.family, method.agent, method.variant)
 
     def behind(self, experiment: Experiment) -> list[Run]:
         """Every run that an experiment can use."""
@@ -122,6 +121,23 @@ def _all_runs() -> list[Run]:
         for seed in sorted({row["seed"] for row in rows}):
             found.append(Run(path.parent.name, seed, made, [row for row in rows if row["seed"] == seed]))
     return found
+
+
+def _changes(config: Config) -> dict[str, Any]:
+    today = flat(preset_config(config.family, config.preset, config.agent))
+    return {
+        name: value for name, value in flat(config).items() if name.split(".")[0] not in BUDGET and value != today[name]
+    }
+
+
+def _named(config: Config) -> Config:
+    """The same settings under the name that today's presets have for them, where it is a variant's."""
+    for variant in VARIANTS if _changes(config) else ():
+        with contextlib.suppress(UsageError):  # an agent that has no use for it
+            named = dataclasses.replace(config, preset=f"{config.preset}+{variant}")
+            if not _changes(named):
+                return named
+    return config
 
 
 def _rank(run: Run) -> tuple[bool, int]:

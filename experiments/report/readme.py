@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from ear_jax import pretrained
-from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, REACH, RUN_JUMP
+from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, REACH, RUN_JUMP, WIDE
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
 from experiments.report.comparison import comparison
 from experiments.report.found import Found, Run
 from experiments.report.measures import paper_budget, paper_counts, paper_return, returns, successes, unit
 from experiments.report.sections import TABLES, describe_machine, machine, title
-from experiments.report.words import MISSING, NAMES, count, label, number, percent, printed, span
+from experiments.report.words import MISSING, NAMES, VARIANTS, count, label, number, percent, printed, span
 
 ROOT = Path(__file__).parents[2]
 README, DETAILS = ROOT / "README.md", ROOT / "docs" / "results.md"
@@ -41,7 +41,8 @@ def details(found: Found) -> str:
 def results(found: Found) -> str:
     """EAR on every family, all methods on the cheetah, OHE-SAC with and without its one-hot, and notes on the runs."""
     runs = {family: found.runs(family) for family in TOLD}
-    rows = [_family(family, runs[family]) for family in TOLD if runs[family]]
+    methods = [(family, variant) for family in TOLD for variant in ("", WIDE)]
+    rows = [_family(*method, shown) for method in methods if (shown := found.runs(method[0], variant=method[1]))]
     parts = [
         markdown.table(Table("", COLUMNS, rows)),
         HOW_TO_READ,
@@ -64,11 +65,11 @@ HOW_TO_READ = (
 )
 
 
-def _family(family: str, runs: list[Run]) -> list[str]:
+def _family(family: str, variant: str, runs: list[Run]) -> list[str]:
     paper = paper_return(family, "ear")
     theirs = "a curve" if family == REACH else MISSING
     return [
-        NAMES[family],
+        NAMES[family] + VARIANTS[variant],
         returns(runs),
         printed(paper) if paper else theirs,
         *(_successes(family, runs, what) for what in ("mid_task", "one_to_one")),
@@ -119,7 +120,7 @@ def _methods(found: Found) -> list[list[str]]:
     rows = []
     for method in EXPERIMENTS["agents"].methods:
         runs = found.of(method)
-        paper = None if method.ablation else paper_return(method.family, method.agent)
+        paper = None if method.variant else paper_return(method.family, method.agent)
         rows.append([label(method), returns(runs), printed(paper) if paper else MISSING])
     return rows
 

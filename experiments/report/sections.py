@@ -23,7 +23,7 @@ from experiments.report.words import MISSING, NAMES, NO_RUN, count, label, lack,
 
 BEYOND = {CHEETAH: SPEEDS_BEYOND, ANT: DIRECTIONS_BEYOND}
 TABLES: dict[str, Callable[[Found], list[Block]]] = {
-    "table-1": tables.returns,
+    "table-1": tables.all_returns,
     "table-2": settings.hyperparameters,
     "table-3": settings.training_tasks,
     "table-4": blends.met,
@@ -34,6 +34,7 @@ TABLES: dict[str, Callable[[Found], list[Block]]] = {
     "table-9": tables.normalisation,
     "table-10": blends.composition,
     "agents": tables.agents,
+    "wide": tables.wide,
     "reach": tables.reach,
     **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(BLENDED)},
     **{f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(BLENDED)},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from experiments.paper import ANT, EXPERIMENTS, FAMILIES, REACH, Method, numbers
+from experiments.paper import ANT, EXPERIMENTS, FAMILIES, REACH, WIDE, Method, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.found import Found, Run
 from experiments.report.measures import (
@@ -16,6 +16,7 @@ from experiments.report.measures import (
     paper_counts,
     paper_recount,
     paper_return,
+    returns,
     score_table,
     successes,
 )
@@ -44,14 +45,14 @@ INTERPOLATED = (
 )
 
 
-def returns(found: Found) -> list[Block]:
+def all_returns(found: Found) -> list[Block]:
     """Table 1, a table a family."""
     methods = EXPERIMENTS["table-1"].methods
     return [_family_returns(found, family, [one for one in methods if one.family == family]) for family in FAMILIES]
 
 
 def agents(found: Found) -> list[Block]:
-    """Ours: every agent and ablation on one family."""
+    """Ours: every agent and variant on one family."""
     methods = EXPERIMENTS["agents"].methods
     ablated = {label(method): found.of(method) for method in methods if method.agent == "ear"}
     blended = [[name, *(share(runs, successes(runs, what)) for what in MEASURES)] for name, runs in ablated.items()]
@@ -59,6 +60,20 @@ def agents(found: Found) -> list[Block]:
         _family_returns(found, methods[0].family, list(methods)),
         Table(INTERPOLATED, ("method", *MEASURES.values()), blended),
     ]
+
+
+def wide(found: Found) -> list[Block]:
+    """Ours: every family with networks of the preset's width and of twice that."""
+    rows = []
+    for method in EXPERIMENTS["wide"].methods:
+        runs = found.of(method)
+        blended = (share(runs, successes(runs, what)) for what in MEASURES)
+        minutes = budget(runs)[-1] if runs else MISSING
+        rows.append(
+            [NAMES[method.family], label(method), returns(runs), *blended, share(runs, failed_tasks(runs)), minutes]
+        )
+    columns = ("family", "method", "return", *MEASURES.values(), "tasks with an episode that ends early", "minutes")
+    return [Table("Returns, pairs of neighbours that blend, and failures.", columns, rows)]
 
 
 def reach(found: Found) -> list[Block]:
@@ -101,7 +116,7 @@ def _family_returns(found: Found, family: str, methods: list[Method]) -> Table:
 
 
 def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str]:
-    paper = None if method.ablation else paper_return(method.family, method.agent)
+    paper = paper_return(method.family, method.agent) if method.variant in ("", WIDE) else None
     cells = [label(method), printed(paper) if paper else MISSING]
     if not runs:
         return [*cells, NO_RUN, *[MISSING] * 6]
@@ -160,8 +175,8 @@ def episode_ends(found: Found) -> list[Block]:
 def failures(found: Found) -> list[Block]:
     """Table 8."""
     rows = []
-    for (policy, paper), ablation in zip(numbers()["table-8"]["panels"][""], ("+no-noise", ""), strict=True):
-        runs = found.runs(ANT, "ear", ablation)
+    for (policy, paper), variant in zip(numbers()["table-8"]["panels"][""], ("+no-noise", ""), strict=True):
+        runs = found.runs(ANT, "ear", variant)
         rows.append([policy, printed(paper), share(runs, failed_tasks(runs))])
     return [Table("Tasks of Ant-Dir with an episode that ends early.", ("policy", "paper", "ours"), rows)]
 
@@ -169,8 +184,8 @@ def failures(found: Found) -> list[Block]:
 def normalisation(found: Found) -> list[Block]:
     """Table 9."""
     rows = []
-    for line, ablation in zip(numbers()["table-9"]["panels"][""], ("+no-norm", ""), strict=True):
-        runs = found.runs(ANT, "ear", ablation)
+    for line, variant in zip(numbers()["table-9"]["panels"][""], ("+no-norm", ""), strict=True):
+        runs = found.runs(ANT, "ear", variant)
         ours = [share(runs, successes(runs, what)) for what in MEASURES]
         rows.append([line[0], printed(line[1]), ours[0], printed(line[2]), ours[1]])
     columns = ("policy", "mid-task, paper", "mid-task, ours", "1:1, paper", "1:1, ours")

@@ -30,17 +30,18 @@ NAMES = {
 }
 
 
-ABLATIONS = {
+VARIANTS = {
     "": "",
     "+no-noise": " without LTE noise",
     "+no-norm": " without normalisation",
     "+no-noise+no-norm": " without either",
+    "+wide": ", twice as wide",
 }
 
 
 def label(method: Method) -> str:
-    """An agent, and what is left out of it."""
-    return NAMES[method.agent] + ABLATIONS[method.ablation]
+    """An agent, and what is other in it."""
+    return NAMES[method.agent] + VARIANTS[method.variant]
 
 
 def number(value: float, digits: int = 1) -> str:
