@@ -70,19 +70,30 @@ def said_of_the_long_run() -> list[str]:
 
 def said_of_the_ant() -> list[str]:
     """Its returns, how fast it is in metres a second, and how many episodes end early, as `docs/fast.md` has them."""
+    returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
+    (wide,), wide_speeds, wide_early = ants("fast+wide-seed0")
+    (half_as_long,), *_ = ants("fast-width-512-seed1")
+    return [
+        f"Its seeds return {returns[0]}, {returns[1]} and {returns[2]}",
+        f"at {speeds}",
+        f"{early} episodes end early",
+        f"seed 0 returns {wide} and runs at {wide_speeds}",
+        f"and {wide_early} episodes end early",
+        f"seed 1 returns {half_as_long}",
+    ]
+
+
+def ants(*names: str) -> tuple[list[str], str, str]:
+    """Of recorded runs of the ant in words: each one's return, from what to what speed, how many of how many fell."""
     returns, speeds, lengths = [], [], []
-    for seed in range(3):
-        found = json.loads((RECORDS / f"ant-dir-ear-fast-seed{seed}" / "evaluation.json").read_text())
+    for name in names:
+        found = json.loads((RECORDS / f"ant-dir-ear-{name}" / "evaluation.json").read_text())
         returns.append(number(found["mean_return"], 0))
         for task in found["seeds"][0]["tasks"]:
             speeds.append(math.hypot(task["outcome"]["velocity_x"], task["outcome"]["velocity_y"]))
             lengths += task["episodes"]["length"]
     early = sum(length < 200 for length in lengths)
-    return [
-        f"Its seeds return {returns[0]}, {returns[1]} and {returns[2]}",
-        f"at {min(speeds):.1f} to {max(speeds):.1f} m/s",
-        f"{early} of {len(lengths)} episodes end early",
-    ]
+    return returns, f"{min(speeds):.1f} to {max(speeds):.1f} m/s", f"{early} of {len(lengths)}"
 
 
 def said_of_commands() -> list[str]:
