@@ -71,13 +71,13 @@ def said_of_the_long_run() -> list[str]:
 def said_of_the_ant() -> list[str]:
     """Its returns, how fast it is in metres a second, and how many episodes end early, as `docs/fast.md` has them."""
     returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
-    (wide,), wide_speeds, wide_early = ants("fast+wide-seed0")
+    wide, wide_speeds, wide_early = ants("fast+wide-seed0", "fast+wide-seed1")
     (half_as_long,), *_ = ants("fast-width-512-seed1")
     return [
         f"Its seeds return {returns[0]}, {returns[1]} and {returns[2]}",
         f"at {speeds}",
         f"{early} episodes end early",
-        f"seed 0 returns {wide} and runs at {wide_speeds}",
+        f"seeds 0 and 1 return {wide[0]} and {wide[1]}, at {wide_speeds}",
         f"and {wide_early} episodes end early",
         f"seed 1 returns {half_as_long}",
     ]
