@@ -23,8 +23,13 @@ from experiments import inventory
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _private_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Compiled programs are shared between the tests of a session, and with nothing else."""
+def _compiling(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Compiled programs are shared between the tests of a session, and with nothing else.
+
+    What tests themselves ask of JAX runs once or twice, so XLA spends no time on making that fast. Programs of the
+    package say themselves how they are optimised (`runtime.compiler_options`), here as anywhere.
+    """
+    jax.config.update("jax_disable_most_optimizations", True)
     jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("xla")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 

@@ -122,7 +122,7 @@ def test_parameter_counts_are_the_papers(name):
 
 
 def moved(before: Any, after: Any) -> Any:
-    return jax.tree.map(lambda old, new: np.asarray(old != new), before, after)
+    return jax.tree.map(lambda old, new: np.asarray(old) != np.asarray(new), before, after)
 
 
 @pytest.fixture

@@ -14,6 +14,8 @@ from ear_jax import train
 from ear_jax.agents import make_agent
 from ear_jax.config import Config, NetworkConfig
 from ear_jax.evaluate import play_training_tasks
+from ear_jax.learner import Draws, Learner
+from ear_jax.losses import Batch
 from ear_jax.runtime import compiler_options
 from ear_jax.train import Program
 
@@ -68,8 +70,18 @@ def begun(program: Program) -> train.TrainState:
     return begin(program)
 
 
+def draws_of(learner: Learner, seed: int, updates: int = 1) -> Draws:
+    """What so many updates draw, each leaf [updates, …]; of one, without that axis. Compiled at once, not op by op."""
+    found = jax.jit(learner.draw, static_argnums=1)(jax.random.key(seed), updates)
+    return jax.tree.map(lambda leaf: leaf[0], found) if updates == 1 else found
+
+
+def batch_of(learner: Learner, state: train.TrainState, draws: Draws) -> Batch:
+    return jax.jit(learner._batch)(state.replay, draws)
+
+
 def one_update(program: Program, state: train.TrainState, **changes: object):
-    draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
+    draws = draws_of(program.learner, 1)
     learner = dataclasses.replace(state.learner, **changes)
     update = jax.jit(program.learner.update, compiler_options=compiler_options())
     return learner, *update(learner, state.replay, draws)
@@ -131,37 +143,37 @@ def test_critics_are_independent(program, begun):
 
 
 def test_batches_are_balanced_and_sources_follow_the_setting(program):
-    own = program.learner.draw(jax.random.key(0), 3).source
+    own = draws_of(program.learner, 0, 3).source
     np.testing.assert_array_equal(own, np.broadcast_to(np.repeat([0, 1], 32), (3, 64)))
     replay = dataclasses.replace(program.config.replay, share_experience=True)
     shared = dataclasses.replace(program.learner, config=dataclasses.replace(program.config, replay=replay))
-    source = np.asarray(shared.draw(jax.random.key(0), 100).source)
+    source = np.asarray(draws_of(shared, 0, 100).source)
     assert source[:, :32].mean() == pytest.approx(0.5, abs=0.05)
     half = dataclasses.replace(
         shared, config=dataclasses.replace(shared.config, replay=dataclasses.replace(replay, own_share=0.5))
     )
-    assert np.asarray(half.draw(jax.random.key(0), 100).source)[:, :32].mean() == pytest.approx(0.25, abs=0.05)
+    assert np.asarray(draws_of(half, 0, 100).source)[:, :32].mean() == pytest.approx(0.25, abs=0.05)
 
 
 def test_shared_transitions_are_scored_for_the_task_they_teach(program, begun):
     replay = dataclasses.replace(program.config.replay, share_experience=True)
     learner = dataclasses.replace(program.learner, config=dataclasses.replace(program.config, replay=replay))
-    draws = jax.tree.map(lambda leaf: leaf[0], learner.draw(jax.random.key(3), 1))
-    batch = learner._batch(begun.replay, draws)
+    draws = draws_of(learner, 3)
+    batch = batch_of(learner, begun, draws)
     target = np.array([-0.5, 0.5])[np.asarray(batch.task)]
     np.testing.assert_allclose(batch.reward, -((np.asarray(batch.action)[:, 0] - target) ** 2), rtol=1e-5)
     assert (np.asarray(draws.source) != np.asarray(batch.task)).any()
 
 
 def test_truncation_bootstraps_and_termination_does_not(program, begun):
-    draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
-    batch = program.learner._batch(begun.replay, draws)
+    draws = draws_of(program.learner, 1)
+    batch = batch_of(program.learner, begun, draws)
     assert batch.terminated.all(), "every step of a bandit ends it"
     table = program.agent.codes(begun.learner.policy)
-    ended = program.learner._target(begun.learner, batch, table, draws.next)
-    np.testing.assert_allclose(ended, batch.reward)
+    target = jax.jit(program.learner._target)
+    np.testing.assert_allclose(target(begun.learner, batch, table, draws.next), batch.reward)
     going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
-    assert (program.learner._target(begun.learner, going, table, draws.next) != batch.reward).all()
+    assert (target(begun.learner, going, table, draws.next) != batch.reward).all()
 
 
 def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(begun):
@@ -169,10 +181,11 @@ def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(begun):
     for pessimism in (0.0, 0.5, 1.0):
         program = bandit_program(pessimism=pessimism)
         losses.append(float(one_update(program, begun)[2]["actor_loss"]))
-        draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(jax.random.key(1), 1))
-        batch = program.learner._batch(begun.replay, draws)
+        draws = draws_of(program.learner, 1)
+        batch = batch_of(program.learner, begun, draws)
         going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
         table = program.agent.codes(begun.learner.policy)
-        targets.append(float(jnp.mean(program.learner._target(begun.learner, going, table, draws.next))))
+        target = jax.jit(program.learner._target)
+        targets.append(float(np.mean(target(begun.learner, going, table, draws.next))))
     assert losses[0] < losses[1] < losses[2]
     assert targets[0] > targets[1] > targets[2]

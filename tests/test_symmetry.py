@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from conftest import tiny_config
+from test_learner import batch_of, draws_of
 
 from ear_jax.envs import make_family
 from ear_jax.envs.symmetry import origins
@@ -28,7 +30,7 @@ def test_variants_are_a_group_that_begins_with_no_change(ant):
     """Eight different ones, each with one that undoes it."""
     for signed in (ant.symmetry.obs, ant.symmetry.action):
         unit = np.eye(signed.order.shape[1])
-        each = jax.vmap(jax.vmap(signed, in_axes=(None, 0)), in_axes=(0, None))(VARIANTS, unit)
+        each = jax.jit(jax.vmap(jax.vmap(signed, in_axes=(None, 0)), in_axes=(0, None)))(VARIANTS, unit)
         np.testing.assert_array_equal(each[0], unit)
         assert len({np.asarray(one).tobytes() for one in each}) == 8
         products = np.einsum("aij,bjk->abik", each, each)
@@ -40,7 +42,7 @@ def test_the_ants_step_turned_is_the_step_of_the_turned_ant(ant):
     symmetry, n = ant.symmetry, 64
     task = ant.parse_task("15").params
     keys = jax.random.split(jax.random.key(0), n)
-    state = jax.vmap(lambda key: ant.start(key, jax.tree.map(jnp.float32, task)))(keys)
+    state = jax.jit(jax.vmap(lambda key: ant.start(key, jax.tree.map(jnp.float32, task))))(keys)
     actions = jax.random.uniform(jax.random.key(1), (30, n, 8), minval=-1)
     step_all = jax.jit(jax.vmap(ant.step))
     for action in actions:
@@ -63,17 +65,16 @@ def test_the_ants_step_turned_is_the_step_of_the_turned_ant(ant):
     expected, found, plain = of_all(VARIANTS, place[:, 2:], action)
     for one, two in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
         np.testing.assert_allclose(one, two, atol=2e-3, rtol=1e-3)
-    reward = jax.vmap(lambda outcome: ant.reward(outcome, task))
-    turned = jax.vmap(lambda variant: symmetry.task(variant, jax.tree.map(jnp.float32, task)))(VARIANTS)
-    again = jax.vmap(jax.vmap(ant.reward, in_axes=(0, 0)), in_axes=(0, None))(found[1], turned)
-    np.testing.assert_allclose(
-        again, jnp.broadcast_to(reward(jax.tree.map(lambda leaf: leaf[:, 0], plain))[:, None], again.shape), atol=1e-2
-    )
+    turned = jax.jit(jax.vmap(lambda variant: symmetry.task(variant, jax.tree.map(jnp.float32, task))))(VARIANTS)
+    again = jax.jit(jax.vmap(jax.vmap(ant.reward, in_axes=(0, 0)), in_axes=(0, None)))(found[1], turned)
+    reward = jax.jit(jax.vmap(ant.reward, in_axes=(0, None)))({name: leaf[:, 0] for name, leaf in plain.items()}, task)
+    np.testing.assert_allclose(again, np.broadcast_to(np.asarray(reward)[:, None], again.shape), atol=1e-2)
 
 
 def test_tasks_become_tasks(ant):
     """A quarter turn adds 90 degrees, a flip changes the sign; of three tasks not all have one that becomes them."""
-    source, exists = origins(ant.symmetry, ant.training_tasks().params)
+    found = jax.jit(partial(origins, ant.symmetry))
+    source, exists = found(ant.training_tasks().params)
     assert exists.all()
     angles = np.arange(24) * 15
     turned = np.array(
@@ -84,7 +85,7 @@ def test_tasks_become_tasks(ant):
     )
     np.testing.assert_array_equal(turned, np.broadcast_to(angles, (8, 24)))
     three = task_set([ant.parse_task(angle) for angle in ("0", "90", "45")]).params
-    _, exists = origins(ant.symmetry, three)
+    _, exists = found(three)
     np.testing.assert_array_equal(exists.sum(axis=1), [3, 1, 0, 1, 1, 3, 1, 0])
 
 
@@ -93,7 +94,7 @@ def test_a_batch_keeps_a_tasks_own_transitions_its_own(ant):
     config = tiny_config(family="ant-dir", tasks=("0", "90", "180", "270"))
     replay = dataclasses.replace(config.replay, share_experience=True, own_share=1.0, symmetry=True)
     program = make_program(dataclasses.replace(config, replay=replay))
-    learner, state = program.learner, init(program, jax.random.key(0))
+    state = jax.jit(partial(init, program))(jax.random.key(0))
     rings = state.replay.rings
     params = program.tasks.params
     outcome = {
@@ -104,7 +105,7 @@ def test_a_batch_keeps_a_tasks_own_transitions_its_own(ant):
     buffer = dataclasses.replace(
         state.replay, rings=dataclasses.replace(rings, outcome=outcome), added=jnp.full(4, 50, jnp.int32)
     )
-    draws = jax.tree.map(lambda leaf: leaf[0], learner.draw(jax.random.key(1), 1))
+    draws = draws_of(program.learner, 1)
     assert len(set(draws.variant.tolist())) == 8
-    batch = learner._batch(buffer, draws)
+    batch = batch_of(program.learner, dataclasses.replace(state, replay=buffer), draws)
     np.testing.assert_allclose(batch.reward / program.config.sac.reward_scale, 2.0, atol=1e-5)
