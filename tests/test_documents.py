@@ -8,12 +8,14 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from test_families import MJX_TOLERANCES
 
 from benchmarks import common, recipe
 from ear_jax import pretrained, records
-from experiments.inventory import RECORDS
+from ear_jax.export import read_policy
+from experiments.inventory import POLICY, RECORDS
 from experiments.report import documents, readme
 from experiments.report.found import Found
 from experiments.report.words import NAMES, number
@@ -71,16 +73,36 @@ def said_of_the_long_run() -> list[str]:
 def said_of_the_ant() -> list[str]:
     """Its returns, how fast it is in metres a second, and how many episodes end early, as `docs/fast.md` has them."""
     returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
-    wide, wide_speeds, wide_early = ants("fast+wide-seed0", "fast+wide-seed1")
+    wide, wide_speeds, wide_early = ants(*(f"fast+wide-seed{seed}" for seed in range(3)))
     (half_as_long,), *_ = ants("fast-width-512-seed1")
     return [
         f"Its seeds return {returns[0]}, {returns[1]} and {returns[2]}",
         f"at {speeds}",
         f"{early} episodes end early",
-        f"seeds 0 and 1 return {wide[0]} and {wide[1]}, at {wide_speeds}",
+        f"its seeds return {wide[0]}, {wide[1]} and {wide[2]}, at {wide_speeds}",
         f"and {wide_early} episodes end early",
         f"seed 1 returns {half_as_long}",
     ]
+
+
+def said_of_the_ring() -> list[str]:
+    """How far apart the embeddings of the ant's neighbouring directions are, and what that does to blends."""
+    even, broken = neighbours("fast+wide-seed0", "fast+wide-seed1"), neighbours("fast+wide-seed2")
+    gaps = [int(np.sum(neighbours(f"fast-seed{seed}") > 30)) for seed in range(3)]
+    blends = json.loads((RECORDS / "ant-dir-ear-fast+wide-seed2" / "interpolation.json").read_text())["one_to_one"]
+    assert gaps == [0, 5, 0]
+    return [
+        f"are {even.min():.0f} to {even.max():.0f}° apart in wide seeds 0 and 1",
+        f"In seed 2 they are {broken.min():.0f} to {broken.max():.0f}° apart",
+        f"lies between only {blends['success']} of its {blends['total']} neighbours",
+    ]
+
+
+def neighbours(*names: str) -> np.ndarray:
+    """Degrees from each direction's embedding to the next one's, of recorded runs of the ant."""
+    tables = [read_policy(RECORDS / f"ant-dir-ear-{name}" / POLICY)[1]["codes"][0] for name in names]
+    cosines = [np.sum(table * np.roll(table, -1, axis=0), axis=1) for table in tables]
+    return np.degrees(np.arccos(np.clip(cosines, -1, 1)))
 
 
 def ants(*names: str) -> tuple[list[str], str, str]:
@@ -119,6 +141,7 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_the_cheetah, "README.md"),
         (said_of_commands, "README.md"),
         (said_of_the_ant, "docs/fast.md"),
+        (said_of_the_ring, "docs/fast.md"),
         (said_of_the_long_run, "docs/fast.md"),
     ],
 )
