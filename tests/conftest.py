@@ -27,7 +27,8 @@ def _compiling(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compiled programs are shared between the tests of a session, and with nothing else.
 
     What tests themselves ask of JAX runs once or twice, so XLA spends no time on making that fast. Programs of the
-    package say themselves how they are optimised (`runtime.compiler_options`), here as anywhere.
+    package keep the level that they ask for (`runtime.compiler_options`), without LLVM's most expensive passes; those
+    that tests start in a process of their own are compiled as a user's.
     """
     jax.config.update("jax_disable_most_optimizations", True)
     jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("xla")))

@@ -70,13 +70,18 @@ def begun(program: Program) -> train.TrainState:
     return begin(program)
 
 
-def draws_of(learner: Learner, seed: int, updates: int = 1) -> Draws:
-    """What so many updates draw, each leaf [updates, …]; of one, without that axis. Compiled at once, not op by op."""
-    found = jax.jit(learner.draw, static_argnums=1)(jax.random.key(seed), updates)
-    return jax.tree.map(lambda leaf: leaf[0], found) if updates == 1 else found
+def all_draws(learner: Learner, seed: int, updates: int) -> Draws:
+    """What so many updates draw, each leaf [updates, …]; compiled as one program, where op by op takes far longer."""
+    return jax.jit(learner.draw, static_argnums=1)(jax.random.key(seed), updates)
+
+
+def draws_of(learner: Learner, seed: int) -> Draws:
+    """What one update draws."""
+    return jax.tree.map(lambda leaf: leaf[0], all_draws(learner, seed, 1))
 
 
 def batch_of(learner: Learner, state: train.TrainState, draws: Draws) -> Batch:
+    """What an update of those draws learns from."""
     return jax.jit(learner._batch)(state.replay, draws)
 
 
@@ -143,16 +148,16 @@ def test_critics_are_independent(program, begun):
 
 
 def test_batches_are_balanced_and_sources_follow_the_setting(program):
-    own = draws_of(program.learner, 0, 3).source
+    own = all_draws(program.learner, 0, 3).source
     np.testing.assert_array_equal(own, np.broadcast_to(np.repeat([0, 1], 32), (3, 64)))
     replay = dataclasses.replace(program.config.replay, share_experience=True)
     shared = dataclasses.replace(program.learner, config=dataclasses.replace(program.config, replay=replay))
-    source = np.asarray(draws_of(shared, 0, 100).source)
+    source = np.asarray(all_draws(shared, 0, 100).source)
     assert source[:, :32].mean() == pytest.approx(0.5, abs=0.05)
     half = dataclasses.replace(
         shared, config=dataclasses.replace(shared.config, replay=dataclasses.replace(replay, own_share=0.5))
     )
-    assert np.asarray(draws_of(half, 0, 100).source)[:, :32].mean() == pytest.approx(0.25, abs=0.05)
+    assert np.asarray(all_draws(half, 0, 100).source)[:, :32].mean() == pytest.approx(0.25, abs=0.05)
 
 
 def test_shared_transitions_are_scored_for_the_task_they_teach(program, begun):
