@@ -31,6 +31,8 @@ class NetworkConfig:
     """Size of the latent state embedding."""
     lte_size: int = 3
     """Size of the latent task embedding."""
+    lte_start: Literal["spread", "gathered"] = "spread"
+    """Where LTEs begin: anywhere on their sphere, or all within a few degrees."""
     normalise_lse: bool = True
     """Put the LSE on its unit sphere."""
     normalise_lte: bool = True
@@ -135,7 +137,7 @@ class Config:
 
     family: tyro.conf.Positional[str]
     preset: str = "fast"
-    """paper, fast or smoke, and what of EAR to leave out: fast+no-noise, fast+no-norm, fast+no-noise+no-norm."""
+    """paper, fast or smoke, and what is other: +no-noise, +no-norm, +task-hidden, +wide, +gathered, or several."""
     agent: str = "ear"
     """ear, ear-rnn (recurrent), onehot, onehot-blind (the one-hot zeroed), multihead, pearl or maml."""
     engine: str = "auto"

@@ -36,6 +36,10 @@ def _by_fan(axis: int) -> nn.initializers.Initializer:
     return lambda key, shape, dtype=jnp.float32: _uniform(shape[axis] ** -0.5)(key, shape, dtype)
 
 
+def _direction(key: jax.Array, shape: tuple[int, ...], dtype: Any = jnp.float32) -> jax.Array:
+    return unit(jax.random.normal(key, shape, dtype))
+
+
 def _rounded(x: jax.Array, kernel: jax.Array, *_: Any, **__: Any) -> jax.Array:
     """As `jax.lax.dot_general` is called by Dense, of which one item is [in]."""
     return bfloat16_matmul(x, kernel)
@@ -47,12 +51,15 @@ class _Mlp(nn.Module):
     config: NetworkConfig
     layer_norm: bool
     activation: Activation
+    gathered: bool
 
     @nn.compact
     def __call__(self, x: jax.Array) -> jax.Array:
         authors = self.config.initialiser == "authors"
         kernel, last = (_by_fan(1), _uniform(3e-3)) if authors else (_by_fan(0), _by_fan(0))
         bias, last_bias = (nn.initializers.constant(0.1), last) if authors else (nn.initializers.zeros,) * 2
+        if self.gathered:
+            last, last_bias = _uniform(0.03), _direction
         rounded = None if self.config.matmul == "float32" else _rounded
         for width in self.widths:
             x = nn.Dense(width, kernel_init=kernel, bias_init=bias, dot_general=rounded)(x)
@@ -69,14 +76,16 @@ def mlp(
     config: NetworkConfig,
     layer_norm: bool = False,
     activation: Activation = jax.nn.relu,
+    gathered: bool = False,
 ) -> Network:
     """Layers of the given widths, ReLU by default, from `size` inputs to `out`; without widths, one linear layer.
 
     Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or
-    by `fan_in` (all weights U(±1/√fan_in), all biases 0), as `config.initialiser` says. `config.matmul` is what hidden
-    layers multiply; the last layer always multiplies float32.
+    by `fan_in` (all weights U(±1/√fan_in), all biases 0), as `config.initialiser` says. `gathered`, the last layer's
+    bias is a random unit vector and its weights are U(±0.03), so that all inputs begin near one output. `config.matmul`
+    is what hidden layers multiply; the last layer always multiplies float32.
     """
-    module = _Mlp(widths, out, config, layer_norm, activation)
+    module = _Mlp(widths, out, config, layer_norm, activation, gathered)
     return Network(
         lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
     )

@@ -97,17 +97,22 @@ AGENT_PRESETS: dict[tuple[str, str], dict[str, Any]] = {
 }
 
 # What a preset's name may go on with after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), the
-# hidden layer that the authors' code has in the task encoder, and networks that an hour of one core is too short for.
+# hidden layer that the authors' code has in the task encoder, networks that an hour of one core is too short for, and
+# embeddings that unfold from one place.
 VARIANTS: dict[str, dict[str, Any]] = {
     "no-noise": {"sac": {"lte_noise": 0.0}},
     "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
     "task-hidden": {"network": {"task_layers": 1}},
     "wide": {"network": {"width": 512, "matmul": "bfloat16"}},
+    "gathered": {"network": {"lte_start": "gathered"}},
 }
 
 
 # Settings that an agent does not read, or a preset of it would have set. `fnmatch`'s patterns.
-_OF_EMBEDDINGS = ("sac.lte_noise", "network.lse_size", "network.normalise_*", "network.encoder_layers")
+_OF_EMBEDDINGS = (
+    *("sac.lte_noise", "network.lse_size", "network.lte_start"),
+    *("network.normalise_*", "network.encoder_layers"),
+)
 _OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
 _OF_SAC = (
     *(f"sac.{name}" for name in ("lr", "lr_decay", "discount", "pessimism", "tau", "batch_size")),

@@ -74,7 +74,7 @@ def numbers() -> dict[str, Any]:
 CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper-vel", "walker-vel")
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
-WIDE = "+wide"
+WIDE, GATHERED = "+wide", "+gathered"
 
 EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
@@ -152,6 +152,11 @@ OURS = (
         "wide",
         "EAR with networks twice as wide",
         methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", WIDE)),
+    ),
+    Experiment(
+        "gathered",
+        "EAR whose LTEs begin gathered",
+        methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", GATHERED)),
     ),
     Experiment(
         "reach",

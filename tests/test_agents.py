@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -94,6 +94,21 @@ def test_codes_are_where_projection_leaves_them(name):
         np.testing.assert_array_equal(elsewhere, anywhere)
         return
     np.testing.assert_allclose(np.linalg.norm(elsewhere, axis=1), name != "onehot-blind", atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["ear", "ear-rnn"])
+@pytest.mark.parametrize("task_layers", [0, 1])
+def test_ltes_begin_spread_or_gathered(name, task_layers):
+    def codes(start: Literal["spread", "gathered"], seed: int) -> jax.Array:
+        network = replace(preset_config("ant-dir", "fast", name).network, task_layers=task_layers, lte_start=start)
+        agent = make_agent(name, 27, 8, 24, network, 0.02)
+        return agent.codes(agent.init_policy(jax.random.key(seed)))
+
+    spread, here, there = codes("spread", 0), codes("gathered", 0), codes("gathered", 1)
+    assert (spread @ spread.T).min() < np.cos(np.radians(60))
+    for table in (here, there):
+        assert (table @ table.T).min() > np.cos(np.radians(10))
+    assert here[0] @ there[0] < np.cos(np.radians(10)), "where they begin is drawn"
 
 
 @pytest.mark.parametrize("name", AGENTS)

@@ -6,11 +6,14 @@ import dataclasses
 import json
 import re
 
+import numpy as np
+import pytest
 from made_up import SPEEDS, add, add_pairs, cells, record, section
 
-from ear_jax import interpolate, records
+from ear_jax import interpolate, records, safetensors
 from ear_jax.envs.family import Family
 from ear_jax.presets import preset_config
+from experiments.inventory import POLICY
 from experiments.report import comparison, measures, settings, tables
 from experiments.report.blocks import Section, Table
 from experiments.report.found import Found
@@ -46,6 +49,21 @@ def test_of_seeds_trained_side_by_side_it_is_told_how_many_and_where(place):
     made = json.loads(path.read_text())
     records.write_json(path, {**made, "machine": {**made["machine"], "accelerator": "H100"}})
     assert cells(section("runs", place / "out"), "halfcheetah-vel-ear-fast-seed0")[7] == "H100, 2 seeds side by side"
+
+
+def test_how_far_apart_neighbours_embeddings_are_at_most(place):
+    directory = record(seeds=2)
+    rows = directory / "metrics.jsonl"
+    records.append_rows(rows, [{**row, "seed": 1} for row in records.read_rows(rows)])
+    around = np.radians([[10.0 * index for index in range(10)], [0, 180, 170, 160, 150, 140, 130, 120, 110, 100]])
+    codes = np.stack([np.cos(around), np.sin(around), 0 * around], axis=-1).astype(np.float32)
+    safetensors.write(directory / POLICY, {"codes": codes}, {})
+    assert cells(section("gathered", place / "out"), "HalfCheetah-Vel")[5] == "—", "no pairs, no gaps"
+    add_pairs(directory, 1, 9)
+    assert cells(section("gathered", place / "out"), "HalfCheetah-Vel")[5] == "180°"
+    assert measures.widest_gap(Found("fast").runs("halfcheetah-vel")[0]) is None, "the pairs are the other seed's"
+    add_pairs(directory, 0, 9)
+    assert measures.widest_gap(Found("fast").runs("halfcheetah-vel")[0]) == pytest.approx(10, abs=1e-3)
 
 
 def test_one_seed_has_no_spread(place):

@@ -30,7 +30,7 @@ def otherwise(name: str, value: object) -> object:
         return value + 2 if name in ("sac.batch_size", "collect.steps", "replay.capacity") else value + 1
     if isinstance(value, float):
         return 0.5 * value or 0.25
-    return {"authors": "fan_in", "fan_in": "authors"}[value]
+    return {"authors": "fan_in", "fan_in": "authors", "float32": "bfloat16", "spread": "gathered"}[value]
 
 
 def with_setting(config: Config, name: str, value: object) -> Config:

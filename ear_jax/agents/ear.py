@@ -21,7 +21,8 @@ def ear(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte_
     """
     widths = (config.width,)
     encoder = mlp(obs_size, widths * config.encoder_layers, config.lse_size, config)
-    task_encoder = mlp(tasks, (config.task_width,) * config.task_layers, config.lte_size, config)
+    gathered = config.lte_start == "gathered"
+    task_encoder = mlp(tasks, (config.task_width,) * config.task_layers, config.lte_size, config, gathered=gathered)
     decoder = mlp(config.lse_size + config.lte_size, widths * config.decoder_layers, 2 * action_size, config)
     critic = critic_network(obs_size + action_size + tasks, 1, config)
     on_lse_sphere = unit if config.normalise_lse else lambda lse: lse

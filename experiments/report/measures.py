@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ear_jax import safetensors
+from experiments.inventory import POLICY
 from experiments.paper import ANT, CHEETAH, HOPPER, REACH, WALKER, numbers
 from experiments.report.found import Run
 from experiments.report.words import MISSING, NAMES, seeds, spread
@@ -74,6 +76,20 @@ def goal_distances(run: Run) -> list[float]:
         for one in run.of_seed("evaluation", "seeds")
         for task in one["tasks"]
     ]
+
+
+def widest_gap(run: Run) -> float | None:
+    """The widest angle between the LTEs of two tasks that are blended as neighbours, in degrees; None where a run lacks
+    its policy or its pairs."""
+    path, pairs = run.place / POLICY, run.of_seed("interpolation", "pairs")
+    if not path.is_file() or not pairs:
+        return None
+    arrays, _ = safetensors.read(path)
+    place = {task["name"]: index for index, task in enumerate(run.made["tasks"])}
+    codes = arrays["codes"][run.seed - run.config.seed]
+    ends = np.array([[place[name] for name in pair["between"]] for pair in pairs]).T
+    cosine = np.sum(codes[ends[0]] * codes[ends[1]], axis=-1).min()
+    return math.degrees(math.acos(max(-1.0, cosine)))
 
 
 def _counted(of_seeds: dict[int, list[bool]]) -> Count | None:

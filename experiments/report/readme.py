@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ear_jax import pretrained
-from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, REACH, RUN_JUMP, WIDE
+from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, GATHERED, REACH, RUN_JUMP, WIDE
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
 from experiments.report.comparison import comparison
@@ -41,7 +41,7 @@ def details(found: Found) -> str:
 def results(found: Found) -> str:
     """EAR on every family, all methods on the cheetah, OHE-SAC with and without its one-hot, and notes on the runs."""
     runs = {family: found.runs(family) for family in TOLD}
-    methods = [(family, variant) for family in TOLD for variant in ("", WIDE)]
+    methods = [(family, variant) for family in TOLD for variant in ("", WIDE, GATHERED)]
     rows = [_family(*method, shown) for method in methods if (shown := found.runs(method[0], variant=method[1]))]
     parts = [
         markdown.table(Table("", COLUMNS, rows)),

@@ -19,6 +19,7 @@ from experiments.report.measures import (
     returns,
     score_table,
     successes,
+    widest_gap,
 )
 from experiments.report.words import (
     MISSING,
@@ -62,18 +63,22 @@ def agents(found: Found) -> list[Block]:
     ]
 
 
-def wide(found: Found) -> list[Block]:
-    """Ours: every family with networks of the preset's width and of twice that."""
+def variants(id: str, found: Found) -> list[Block]:
+    """Ours: every family as the preset has it and as a variant of it does."""
     rows = []
-    for method in EXPERIMENTS["wide"].methods:
+    for method in EXPERIMENTS[id].methods:
         runs = found.of(method)
         blended = (share(runs, successes(runs, what)) for what in MEASURES)
+        gaps = [f"{gap:.0f}°" for run in runs if (gap := widest_gap(run)) is not None]
         minutes = budget(runs)[-1] if runs else MISSING
-        rows.append(
-            [NAMES[method.family], label(method), returns(runs), *blended, share(runs, failed_tasks(runs)), minutes]
-        )
-    columns = ("family", "method", "return", *MEASURES.values(), "tasks with an episode that ends early", "minutes")
-    return [Table("Returns, pairs of neighbours that blend, and failures.", columns, rows)]
+        told = (returns(runs), *blended, ", ".join(gaps) or MISSING, share(runs, failed_tasks(runs)), minutes)
+        rows.append([NAMES[method.family], label(method), *told])
+    columns = ("return", *MEASURES.values(), "widest gap", "tasks with an episode that ends early", "minutes")
+    caption = (
+        "Returns, pairs of neighbours that blend, the widest angle between the LTEs of such a pair in each seed, and "
+        "failures."
+    )
+    return [Table(caption, ("family", "method", *columns), rows)]
 
 
 def reach(found: Found) -> list[Block]:

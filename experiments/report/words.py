@@ -36,6 +36,7 @@ VARIANTS = {
     "+no-norm": " without normalisation",
     "+no-noise+no-norm": " without either",
     "+wide": ", twice as wide",
+    "+gathered": ", LTEs gathered at first",
 }
 
 
