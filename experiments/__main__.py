@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from ear_jax.cli.arguments import parse
-from ear_jax.errors import RunError, UsageError, unknown
-from ear_jax.stopping import Stopped
+from ear_jax.cli.exits import exit_code
+from ear_jax.errors import UsageError, unknown
 from ear_jax.terminal import say
 from experiments.inventory import is_trained, jobs, missing, side_by_side
 from experiments.paper import EXPERIMENTS
@@ -126,21 +126,16 @@ COMMANDS = {"list": list_all, "reproduce": reproduce, "keep": keep_run, "report"
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
     words = sys.argv[1:] if arguments is None else arguments
-    try:
-        if words[:1] in (["-h"], ["--help"]):
-            print(f"{__doc__}\n\ncommands: {', '.join(COMMANDS)}; `{PROGRAM} COMMAND --help` tells what each takes")
-            return 0
-        if not words or words[0] not in COMMANDS:
-            raise unknown("command", words[0] if words else "", COMMANDS)
-        COMMANDS[words[0]](words[1:])
-        return 0
-    except (UsageError, RunError) as error:
-        print(f"experiments: {error}", file=sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
-    except Stopped as error:
-        return error.exit_code
-    except KeyboardInterrupt:
-        return 130
+    return exit_code("experiments", lambda: _run(words))
+
+
+def _run(words: list[str]) -> None:
+    if words[:1] in (["-h"], ["--help"]):
+        print(f"{__doc__}\n\ncommands: {', '.join(COMMANDS)}; `{PROGRAM} COMMAND --help` tells what each takes")
+        return
+    if not words or words[0] not in COMMANDS:
+        raise unknown("command", words[0] if words else "", COMMANDS)
+    COMMANDS[words[0]](words[1:])
 
 
 if __name__ == "__main__":

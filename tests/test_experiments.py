@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -74,6 +75,18 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     (inventory.RECORDS / runs[1] / "evaluation.json").unlink()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     assert workplace == [evaluate.format(runs[1])], "the run is there"
+
+
+@pytest.mark.parametrize(
+    "words", [["experiments", "reproduce", "table-1", "--dry-run"], ["ear_jax.cli.main", "--help"]]
+)
+def test_whoever_reads_what_is_said_may_leave(words):
+    reader, writer = os.pipe()
+    os.close(reader)
+    place = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-m", *words], cwd=place, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "")
 
 
 def test_a_run_whose_flags_make_a_variant_counts_as_that(workplace):

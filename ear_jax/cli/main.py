@@ -1,4 +1,4 @@
-"""The `ear` command: picks the subcommand, and turns what goes wrong into one line and an exit code."""
+"""The `ear` command: picks the subcommand."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import importlib
 import os
 import sys
 
-from ear_jax.errors import RunError, UsageError, unknown
-from ear_jax.stopping import Stopped
+from ear_jax.cli.exits import exit_code
+from ear_jax.errors import unknown
 
 # Each is a function main(arguments) in the module; imported only when it is called.
 COMMANDS = {
@@ -41,32 +41,19 @@ def usage() -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
     words = sys.argv[1:] if arguments is None else arguments
-    if not words or words[0] in ("-h", "--help"):
+    code = exit_code("ear", lambda: _run(*words) if words else print(usage()))
+    return code if words else 2
+
+
+def _run(name: str, *arguments: str) -> None:
+    if name in ("-h", "--help"):
         print(usage())
-        return 0 if words else 2
-    try:
-        if words[0] not in COMMANDS:
-            raise unknown("command", words[0], COMMANDS)
-        # JAX's and XLA's log lines are not for a person; a user who wants them sets this.
-        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-        module = importlib.import_module(COMMANDS[words[0]][0])
-        module.main(words[1:])
-        sys.stdout.flush()
-        return 0
-    except (UsageError, RunError) as error:
-        print(f"ear: {error}", file=sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
-    except KeyboardInterrupt:
-        print("ear: interrupted", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read us has left
-        return 1
-    except OSError as error:
-        print(f"ear: {error.filename}: {error.strerror}" if error.filename else f"ear: {error}", file=sys.stderr)
-        return 1
-    except Stopped as stop:
-        return stop.exit_code
+        return
+    if name not in COMMANDS:
+        raise unknown("command", name, COMMANDS)
+    # JAX's and XLA's log lines are not for a person; a user who wants them sets this.
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    importlib.import_module(COMMANDS[name][0]).main(list(arguments))
 
 
 if __name__ == "__main__":
