@@ -110,8 +110,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 # Settings that an agent does not read, or a preset of it would have set. `fnmatch`'s patterns.
 _OF_EMBEDDINGS = (
-    *("sac.lte_noise", "network.lse_size", "network.lte_start"),
-    *("network.normalise_*", "network.encoder_layers"),
+    *("sac.lte_noise", "network.normalise_*"),
+    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers")),
 )
 _OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
 _OF_SAC = (

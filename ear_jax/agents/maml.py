@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
@@ -20,11 +22,12 @@ def maml(obs_size: int, action_size: int, tasks: int, config: NetworkConfig, lte
 
     Args:
       obs_size, action_size, tasks: sizes.
-      config: `width` and `decoder_layers` are the policy's.
+      config: `width` and `decoder_layers` are the policy's. It multiplies float32: the curvature that an update follows
+        takes a derivative forwards, and the bfloat16 product has none.
       lte_noise: has no use here.
     """
     widths = (config.width,) * config.decoder_layers
-    network = mlp(obs_size, widths, action_size, config, activation=jnp.tanh)
+    network = mlp(obs_size, widths, action_size, replace(config, matmul="float32"), activation=jnp.tanh)
 
     def init_policy(key: jax.Array) -> Params:
         return {"network": network.init(key), "log_std": jnp.zeros(action_size)}
