@@ -16,7 +16,7 @@ from benchmarks import common, recipe
 from ear_jax import pretrained, records
 from ear_jax.export import read_policy
 from experiments.inventory import POLICY, RECORDS
-from experiments.report import documents, readme
+from experiments.report import documents, measures, readme
 from experiments.report.found import Found
 from experiments.report.words import NAMES, number
 
@@ -98,6 +98,22 @@ def said_of_the_ring() -> list[str]:
     ]
 
 
+def said_of_the_gathered() -> list[str]:
+    """Of the hopper's seed 0 whose LTEs began gathered, and of that whose did not."""
+    gathered, usual = (Found("fast").runs("hopper-vel", variant=variant)[0] for variant in ("+gathered", ""))
+    assert gathered.seed == usual.seed == 0
+    gaps, pairs = [], []
+    for run in (gathered, usual):
+        gaps.append(f"{measures.widest_gap(run):.0f}°")
+        pairs.append([measures.successes([run], what) for what in ("mid_task", "one_to_one")])
+    return [
+        f"the widest gap is {gaps[0]} instead of {gaps[1]}",
+        "the return {} instead of {}".format(*(number(measures.mean_return(run)) for run in (gathered, usual))),
+        f"pairs {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
+        f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
+    ]
+
+
 def neighbours(*names: str) -> np.ndarray:
     """Degrees from each direction's embedding to the next one's, of recorded runs of the ant."""
     tables = [read_policy(RECORDS / f"ant-dir-ear-{name}" / POLICY)[1]["codes"][0] for name in names]
@@ -142,6 +158,7 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_commands, "README.md"),
         (said_of_the_ant, "docs/fast.md"),
         (said_of_the_ring, "docs/fast.md"),
+        (said_of_the_gathered, "docs/fast.md"),
         (said_of_the_long_run, "docs/fast.md"),
     ],
 )
