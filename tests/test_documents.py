@@ -14,8 +14,7 @@ from test_families import MJX_TOLERANCES
 
 from benchmarks import common, recipe
 from ear_jax import pretrained, records
-from ear_jax.export import read_policy
-from experiments.inventory import POLICY, RECORDS
+from experiments.inventory import RECORDS
 from experiments.report import documents, measures, readme
 from experiments.report.found import Found
 from experiments.report.words import NAMES, number
@@ -98,13 +97,13 @@ def said_of_the_wide() -> list[str]:
 
 def said_of_the_ring() -> list[str]:
     """How far apart the embeddings of the ant's neighbouring directions are, and what that does to blends."""
-    even, broken = neighbours("fast+wide-seed0", "fast+wide-seed1"), neighbours("fast+wide-seed2")
-    gaps = [int(np.sum(neighbours(f"fast-seed{seed}") > 30)) for seed in range(3)]
+    found = Found("fast")
+    *even, broken = map(measures.gaps, found.runs("ant-dir", variant="+wide"))
     blends = json.loads((RECORDS / "ant-dir-ear-fast+wide-seed2" / "interpolation.json").read_text())["one_to_one"]
-    assert gaps == [0, 5, 0]
+    assert [int(np.sum(measures.gaps(run) > 30)) for run in found.runs("ant-dir")] == [0, 5, 0]
     return [
-        f"are {even.min():.0f} to {even.max():.0f}° apart in wide seeds 0 and 1",
-        f"In seed 2 they are {broken.min():.0f} to {broken.max():.0f}° apart",
+        f"are {np.min(even):.0f} to {np.max(even):.0f}° apart in wide seeds 0 and 1",
+        f"In seed 2 they are {min(broken):.0f} to {max(broken):.0f}° apart",
         f"lies between only {blends['success']} of its {blends['total']} neighbours",
     ]
 
@@ -115,7 +114,7 @@ def said_of_the_gathered() -> list[str]:
     assert gathered.seed == usual.seed == 0
     gaps, pairs = [], []
     for run in (gathered, usual):
-        gaps.append(f"{measures.widest_gap(run):.0f}°")
+        gaps.append(f"{max(measures.gaps(run)):.0f}°")
         pairs.append([measures.successes([run], what) for what in ("mid_task", "one_to_one")])
     return [
         f"the widest gap is {gaps[0]} instead of {gaps[1]}",
@@ -123,13 +122,6 @@ def said_of_the_gathered() -> list[str]:
         f"pairs {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
         f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
     ]
-
-
-def neighbours(*names: str) -> np.ndarray:
-    """Degrees from each direction's embedding to the next one's, of recorded runs of the ant."""
-    tables = [read_policy(RECORDS / f"ant-dir-ear-{name}" / POLICY)[1]["codes"][0] for name in names]
-    cosines = [np.sum(table * np.roll(table, -1, axis=0), axis=1) for table in tables]
-    return np.degrees(np.arccos(np.clip(cosines, -1, 1)))
 
 
 def ants(*names: str) -> tuple[list[str], str, str]:

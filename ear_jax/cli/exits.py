@@ -26,10 +26,8 @@ def exit_code(program: str, command: Callable[[], None]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read us has left
         return 1
     except OSError as error:
-        print(
-            f"{program}: {error.filename}: {error.strerror}" if error.filename else f"{program}: {error}",
-            file=sys.stderr,
-        )
+        why = f"{error.filename}: {error.strerror}" if error.filename else error
+        print(f"{program}: {why}", file=sys.stderr)
         return 1
     except Stopped as stop:
         return stop.exit_code

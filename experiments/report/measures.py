@@ -78,18 +78,17 @@ def goal_distances(run: Run) -> list[float]:
     ]
 
 
-def widest_gap(run: Run) -> float | None:
-    """The widest angle between the LTEs of two tasks that are blended as neighbours, in degrees; None where a run lacks
-    its policy or its pairs."""
+def gaps(run: Run) -> np.ndarray:
+    """Angles between the LTEs of each two tasks that are blended as neighbours, in degrees; none where a run lacks its
+    policy or its pairs."""
     path, pairs = run.place / POLICY, run.of_seed("interpolation", "pairs")
     if not path.is_file() or not pairs:
-        return None
+        return np.zeros(0)
     arrays, _ = safetensors.read(path)
     place = {task["name"]: index for index, task in enumerate(run.made["tasks"])}
     codes = arrays["codes"][run.seed - run.config.seed]
     ends = np.array([[place[name] for name in pair["between"]] for pair in pairs]).T
-    cosine = np.sum(codes[ends[0]] * codes[ends[1]], axis=-1).min()
-    return math.degrees(math.acos(max(-1.0, cosine)))
+    return np.degrees(np.arccos(np.clip(np.sum(codes[ends[0]] * codes[ends[1]], axis=-1), -1, 1)))
 
 
 def _counted(of_seeds: dict[int, list[bool]]) -> Count | None:

@@ -10,6 +10,7 @@ from experiments.report.found import Found, Run
 from experiments.report.measures import (
     Count,
     failed_tasks,
+    gaps,
     goal_distances,
     mean_return,
     paper_budget,
@@ -19,7 +20,6 @@ from experiments.report.measures import (
     returns,
     score_table,
     successes,
-    widest_gap,
 )
 from experiments.report.words import (
     MISSING,
@@ -69,9 +69,9 @@ def variants(id: str, found: Found) -> list[Block]:
     for method in EXPERIMENTS[id].methods:
         runs = found.of(method)
         blended = (share(runs, successes(runs, what)) for what in MEASURES)
-        gaps = [f"{gap:.0f}°" for run in runs if (gap := widest_gap(run)) is not None]
+        widest = [f"{max(apart):.0f}°" for run in runs if len(apart := gaps(run))]
         minutes = budget(runs)[-1] if runs else MISSING
-        told = (returns(runs), *blended, ", ".join(gaps) or MISSING, share(runs, failed_tasks(runs)), minutes)
+        told = (returns(runs), *blended, ", ".join(widest) or MISSING, share(runs, failed_tasks(runs)), minutes)
         rows.append([NAMES[method.family], label(method), *told])
     columns = ("return", *MEASURES.values(), "widest gap", "tasks with an episode that ends early", "minutes")
     caption = (
