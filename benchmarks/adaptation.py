@@ -21,10 +21,10 @@ import mujoco
 import numpy as np
 
 from benchmarks import common
-from ear_jax.codes import fibonacci_sphere
+from ear_jax.agents.tanh_gaussian import squash
+from ear_jax.embeddings.codes import fibonacci_sphere
 from ear_jax.physics import Physics
-from ear_jax.policy import squash
-from ear_jax.trained import Trained, load
+from ear_jax.runs.trained import Trained, load
 
 RUN = "pretrained:halfcheetah-vel"
 COMMANDS = {  # what is timed: the words after the run, and the environment steps they take

@@ -13,14 +13,16 @@ import jax.numpy as jnp
 
 from benchmarks import common
 from benchmarks.update import filled
-from ear_jax import replay, run, runtime, train
 from ear_jax.config import Config
-from ear_jax.grid import Grid, Transition
-from ear_jax.learner import LearnerState
+from ear_jax.envs.batched_env import BatchedEnv, Transition
+from ear_jax.learning import replay
+from ear_jax.learning.replay import Replay
+from ear_jax.learning.rollout import act_with, rollout
+from ear_jax.learning.sac import SacState
 from ear_jax.presets import preset_config
-from ear_jax.replay import Replay
-from ear_jax.rollout import act_with, rollout
-from ear_jax.train import Program, TrainState
+from ear_jax.process import runtime
+from ear_jax.runs import loop, training
+from ear_jax.runs.training import Program, TrainState
 
 PARTS = ("collect", "add", "update")
 Step = Callable[[Any], Any]
@@ -31,10 +33,10 @@ def collect(program: Program, state: TrainState) -> Transition:
     settings, family, policy = program.config.collect, program.family, state.learner.policy
     noise = jax.random.normal(state.key, (settings.steps, len(program.tasks), settings.envs, family.action_size))
     act = act_with(program.agent, policy, program.agent.codes(policy))
-    return rollout(Grid(family), act, state.cells, noise, lambda transition: transition)[1]
+    return rollout(BatchedEnv(family), act, state.cells, noise, lambda transition: transition)[1]
 
 
-def update(program: Program, state: TrainState) -> LearnerState:
+def update(program: Program, state: TrainState) -> SacState:
     """The updates of an epoch."""
     learner = program.learner.observe(state.learner, state.replay)
     draws = program.learner.draw(state.key, program.config.sac.updates)
@@ -53,8 +55,8 @@ def repeat(step: Step, carried: Any) -> Callable[[], None]:
 
 def epoch_run(program: Program, state: TrainState) -> Callable[[], None]:
     """A call that trains for an epoch as runs do; `state`, leaves [seeds, …], is given away."""
-    compiled = run.compile_program(program, train.seed_keys(program.config))
-    return repeat(lambda state: run.train_epochs(compiled, state, 1)[0], state)
+    compiled = loop.compile_program(program, training.seed_keys(program.config))
+    return repeat(lambda state: loop.train_epochs(compiled, state, 1)[0], state)
 
 
 def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, Callable[[], Any]]:
@@ -74,10 +76,10 @@ def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, C
 
 
 def measure(options: argparse.Namespace, config: Config, repeats: int) -> None:
-    program = train.make_program(config)
+    program = training.make_program(config)
 
     def start() -> TrainState:
-        return jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
+        return jax.jit(jax.vmap(partial(filled, program)))(training.seed_keys(config))
 
     timings = common.alternate(contenders(program, start), repeats)
     sums = [sum(timings[part].seconds[index] for part in PARTS) for index in range(repeats)]

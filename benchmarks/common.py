@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ear_jax import records
+from ear_jax.runs import records
 
 RESULTS = Path(__file__).resolve().parent / "results"
 

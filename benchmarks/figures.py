@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
 from benchmarks import common
-from ear_jax import records
-from ear_jax.report.figures import COLOURS, STYLE
+from ear_jax.figures.style import COLOURS, STYLE
+from ear_jax.runs import records
 
 Row = dict[str, Any]
 ENGINES = ("raw", "native", "mjx", "gymnasium-async", "gymnasium-sync", "spring", "warp")

@@ -14,9 +14,10 @@ import jax
 
 from benchmarks import common
 from benchmarks.update import filled, update_run
-from ear_jax import runtime, train
 from ear_jax.config import Config
 from ear_jax.presets import preset_config
+from ear_jax.process import runtime
+from ear_jax.runs import training
 
 
 def with_matmul(config: Config, matmul: Literal["float32", "bfloat16"]) -> Config:
@@ -26,8 +27,8 @@ def with_matmul(config: Config, matmul: Literal["float32", "bfloat16"]) -> Confi
 def measure(options: argparse.Namespace, width: int, updates: int, repeats: int) -> None:
     config = preset_config("ant-dir", "fast")
     config = dataclasses.replace(config, network=dataclasses.replace(config.network, width=width))
-    plain, rounding = (train.make_program(with_matmul(config, matmul)) for matmul in ("float32", "bfloat16"))
-    state = jax.jit(jax.vmap(partial(filled, plain)))(train.seed_keys(config))
+    plain, rounding = (training.make_program(with_matmul(config, matmul)) for matmul in ("float32", "bfloat16"))
+    state = jax.jit(jax.vmap(partial(filled, plain)))(training.seed_keys(config))
     contenders = {
         "float32": update_run(plain, state, updates),
         "bfloat16": update_run(rounding, state, updates),

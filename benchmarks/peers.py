@@ -23,9 +23,9 @@ from benchmarks import common
 from benchmarks.chunk import epoch_run
 from benchmarks.matmul import with_matmul
 from benchmarks.update import filled, update_run
-from ear_jax import train
 from ear_jax.config import Config
 from ear_jax.presets import preset_config
+from ear_jax.runs import training
 
 HERE = Path(__file__).resolve().parent
 PLACE = HERE / ".peers"
@@ -51,7 +51,7 @@ def ask(script: str, settings: dict[str, Any]) -> dict[str, Any]:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def torch_settings(config: Config, program: train.Program, updates: int) -> dict[str, Any]:
+def torch_settings(config: Config, program: training.Program, updates: int) -> dict[str, Any]:
     sizes = {
         "obs": program.family.observation_size,
         "act": program.family.action_size,
@@ -64,9 +64,9 @@ def torch_settings(config: Config, program: train.Program, updates: int) -> dict
 def measure_update(options: argparse.Namespace, preset: str, updates: int, repeats: int) -> None:
     """An update of ours and of PyTorch's, each with float32 and with bf16 matmuls."""
     config = preset_config(FAMILY, preset)
-    program = train.make_program(config)
-    state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
-    rounding = train.make_program(with_matmul(config, "bfloat16"))
+    program = training.make_program(config)
+    state = jax.jit(jax.vmap(partial(filled, program)))(training.seed_keys(config))
+    rounding = training.make_program(with_matmul(config, "bfloat16"))
     ours = {"ours_ms": update_run(program, state, updates), "ours_bf16_ms": update_run(rounding, state, updates)}
     for update in ours.values():
         update()  # compiled here
@@ -105,8 +105,8 @@ def measure_sac(options: argparse.Namespace, steps: int, repeats: int) -> None:
     """Environment steps a second with one update each, collection and updates together."""
     envs = 8
     config = sac_config(envs, steps)
-    program = train.make_program(config)
-    state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
+    program = training.make_program(config)
+    state = jax.jit(jax.vmap(partial(filled, program)))(training.seed_keys(config))
     epoch = epoch_run(program, state)
     epoch()
     network = config.network

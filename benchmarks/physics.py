@@ -24,10 +24,10 @@ import numpy as np
 from mujoco.batch import Batch
 
 from benchmarks import common
-from ear_jax import runtime
 from ear_jax.envs import FAMILIES, Family, make_family
 from ear_jax.errors import RunError
 from ear_jax.physics import Physics
+from ear_jax.process import runtime
 
 SHAPES = {10: (10, 1), 80: (10, 8), 512: (8, 64), 640: (10, 64), 8192: (8, 1024)}  # of the nested vmap, [tasks, envs]
 BATCHES = {  # that an engine is measured at, by JAX's backend

@@ -15,12 +15,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from benchmarks.common import RESULTS
-from ear_jax import records
-from ear_jax.report.figures import COLOURS, STYLE, legend_below
+from ear_jax.figures.style import COLOURS, STYLE, legend_below
+from ear_jax.runs import records
 from experiments.report import documents
 from experiments.report.blocks import Table
+from experiments.report.formatting import MISSING, NAMES, count, number
 from experiments.report.markdown import table
-from experiments.report.words import MISSING, NAMES, count, number
 
 DOCUMENT = RESULTS.parent.parent / "docs" / "fast.md"
 PLACE = "trials"

@@ -13,14 +13,14 @@ import jax.numpy as jnp
 from benchmarks import common
 from benchmarks.chunk import epoch_run
 from benchmarks.update import filled
-from ear_jax import checkpoint, train
 from ear_jax.presets import preset_config
+from ear_jax.runs import checkpoint, training
 
 
 def measure(options: argparse.Namespace, repeats: int) -> None:
     config = preset_config("halfcheetah-vel", "fast")
-    program = train.make_program(config)
-    state = jax.block_until_ready(jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config)))
+    program = training.make_program(config)
+    state = jax.block_until_ready(jax.jit(jax.vmap(partial(filled, program)))(training.seed_keys(config)))
     epochs = config.log.epochs * config.checkpoint.blocks
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch)

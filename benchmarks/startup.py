@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks import common
 
-IMPORTS = ("ear_jax", "jax", "ear_jax.run", "ear_jax.cli.train")
+IMPORTS = ("ear_jax", "jax", "ear_jax.runs.loop", "ear_jax.cli.train")
 # What a line of `ear train` begins with, and the phase that it ends.
 PHASES = {"halfcheetah-vel ·": "setup", "compiling:": "compile", "collecting": "pretrain", "epoch ": "first_block"}
 QUICK = ("--collect.pretrain-epochs", "1", "--sac.updates", "5", "--log.episodes", "1")

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import common
-from ear_jax import records
+from ear_jax.runs import records
 
 RECORDS = common.RESULTS.parent.parent / "experiments" / "records"
 MARKS: dict[str, tuple[float, ...]] = {  # the last of each is the paper's

@@ -19,11 +19,12 @@ import jax.numpy as jnp
 from jax.extend.core import Jaxpr, jaxprs_in_params
 
 from benchmarks import common
-from ear_jax import runtime, train
-from ear_jax.learner import Draws, LearnerState
+from ear_jax.learning.replay import Replay
+from ear_jax.learning.sac import Draws, SacState
 from ear_jax.presets import preset_config
-from ear_jax.replay import Replay
-from ear_jax.train import Program
+from ear_jax.process import runtime
+from ear_jax.runs import training
+from ear_jax.runs.training import Program
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ def find_matmuls(jaxpr: Jaxpr) -> Iterator[Matmul]:
             yield from find_matmuls(inner)
 
 
-def filled(program: Program, key: jax.Array) -> train.TrainState:
+def filled(program: Program, key: jax.Array) -> training.TrainState:
     """A fresh run whose replay is full of noise, as an update's time does not depend on what is learnt from."""
-    state = train.init(program, key)
+    state = training.init(program, key)
 
     def noise(ring: jax.Array) -> jax.Array:
         return jnp.zeros_like(ring) if ring.dtype == bool else jax.random.normal(key, ring.shape, ring.dtype)
@@ -66,10 +67,10 @@ def filled(program: Program, key: jax.Array) -> train.TrainState:
     )
 
 
-def update_run(program: Program, state: train.TrainState, updates: int) -> Any:
+def update_run(program: Program, state: training.TrainState, updates: int) -> Any:
     """Updates of all seeds, as an epoch has them after its roll-out; leaves of `state` are [seeds, …]."""
 
-    def one_seed(learner: LearnerState, buffer: Replay, key: jax.Array) -> LearnerState:
+    def one_seed(learner: SacState, buffer: Replay, key: jax.Array) -> SacState:
         draws = program.learner.draw(key, updates)
         return jax.lax.scan(lambda learner, draws: program.learner.update(learner, buffer, draws), learner, draws)[0]
 
@@ -111,8 +112,8 @@ def matmul_run(matmuls: list[Matmul], updates: int) -> Any:
 
 def measure(options: argparse.Namespace, preset: str, seeds: int, updates: int, repeats: int) -> None:
     config = dataclasses.replace(preset_config("halfcheetah-vel", preset), seeds=seeds)
-    program = train.make_program(config)
-    state = jax.jit(jax.vmap(partial(filled, program)))(train.seed_keys(config))
+    program = training.make_program(config)
+    state = jax.jit(jax.vmap(partial(filled, program)))(training.seed_keys(config))
     matmuls = list(find_matmuls(jax.make_jaxpr(partial(_first_update, program))(state).jaxpr))
     contenders = {"update": update_run(program, state, updates), "matmuls": matmul_run(matmuls, updates)}
     timings = common.alternate(contenders, repeats)
@@ -137,8 +138,8 @@ def measure(options: argparse.Namespace, preset: str, seeds: int, updates: int, 
     common.write_row(options, "update", row)
 
 
-def _first_update(program: Program, state: train.TrainState) -> LearnerState:
-    def one_seed(learner: LearnerState, buffer: Replay, key: jax.Array) -> LearnerState:
+def _first_update(program: Program, state: training.TrainState) -> SacState:
+    def one_seed(learner: SacState, buffer: Replay, key: jax.Array) -> SacState:
         draws: Draws = jax.tree.map(lambda leaf: leaf[0], program.learner.draw(key, 1))
         return program.learner.update(learner, buffer, draws)[0]
 

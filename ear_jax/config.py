@@ -199,15 +199,10 @@ def flat_tree(tree: dict[str, Any], where: str = "") -> dict[str, Any]:
     return found
 
 
-def check(config: Config, tasks: int) -> None:
-    """Refuses values that cannot be trained with, before anything is compiled.
+def check(config: Config) -> None:
+    """Raises UsageError for the first value out of its range, with what is allowed.
 
-    Args:
-      config: the configuration.
-      tasks: how many tasks it trains on.
-
-    Raises:
-      UsageError: the first that is wrong, with what is allowed.
+    Methods and learners check what is theirs.
     """
     for name, minimum in _MINIMA.items():
         value = _setting(config, name)
@@ -222,30 +217,6 @@ def check(config: Config, tasks: int) -> None:
     for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
-    if config.agent == "ear-rnn":
-        for name in ("network.encoder_layers", "network.decoder_layers"):
-            if _setting(config, name) < 1:
-                raise UsageError(f"{flag(name)} 0 is too small for ear-rnn, whose first layer is its RNN")
-    if config.agent == "maml":  # which neither replays nor draws batches
-        if config.sac.updates != 1:
-            raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update an epoch")
-        if config.collect.steps % 2:
-            raise UsageError(
-                f"--collect.steps {config.collect.steps} cannot be halved; maml needs as many before its step"
-            )
-        return
-    if config.sac.batch_size % tasks:
-        lower = max(1, config.sac.batch_size // tasks) * tasks
-        raise UsageError(
-            f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
-            f"try {lower} or {lower + tasks}"
-        )
-    epoch = config.collect.envs * config.collect.steps
-    if config.replay.capacity // tasks < epoch:
-        raise UsageError(
-            f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} steps; "
-            f"it must be at least {tasks * epoch}"
-        )
 
 
 _MINIMA: dict[str, int] = {

@@ -17,6 +17,11 @@ from ear_jax.errors import UsageError, unknown
 TaskParams = dict[str, jax.Array]
 
 
+def task_count(params: TaskParams) -> int:
+    """Returns the number of tasks stacked in `params`, each leaf [tasks]."""
+    return len(jax.tree.leaves(params)[0])
+
+
 @dataclass(frozen=True)
 class Task:
     """One task of a family: its name, the number a person commands, and the numbers its reward reads."""

@@ -13,7 +13,7 @@ from rich.table import Table
 from ear_jax.cli.arguments import parse
 from ear_jax.cli.exits import exit_code
 from ear_jax.errors import UsageError, unknown
-from ear_jax.terminal import say
+from ear_jax.process.terminal import say
 from experiments.inventory import is_trained, jobs, missing, side_by_side
 from experiments.paper import EXPERIMENTS
 from experiments.reproduce import keep, make_whole, plan

@@ -6,7 +6,7 @@ from typing import Any
 
 from ear_jax.envs import Family
 from ear_jax.errors import RunError
-from ear_jax.trained import Trained
+from ear_jax.runs.trained import Trained
 
 CURVE_POINTS = 20
 UNKNOWN = "It has not been evaluated: which tasks it meets is not known."

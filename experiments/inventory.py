@@ -11,10 +11,10 @@ import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
-from ear_jax import records
 from ear_jax.config import Config, from_dict, run_name
 from ear_jax.errors import UsageError
 from ear_jax.presets import preset_config
+from ear_jax.runs import records
 from experiments.paper import Analysis, Experiment, Method
 
 RECORDS = Path(__file__).with_name("records")

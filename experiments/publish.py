@@ -12,10 +12,11 @@ from typing import Any
 
 import tyro
 
-from ear_jax import pretrained, records
+from ear_jax import pretrained
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import RunError, UsageError
-from ear_jax.trained import Trained, load, pick, save
+from ear_jax.runs import records
+from ear_jax.runs.trained import Trained, load, pick, save
 from experiments.card import make_card
 from experiments.commands import command_line
 

@@ -12,12 +12,12 @@ import sys
 from pathlib import Path
 from types import FrameType
 
-from ear_jax import records
 from ear_jax.config import from_dict, run_name
 from ear_jax.errors import RunError, UsageError
-from ear_jax.lock import InUse, hold
-from ear_jax.stopping import Stopped
-from ear_jax.terminal import say
+from ear_jax.process.stopping import Stopped
+from ear_jax.process.terminal import say
+from ear_jax.runs import records
+from ear_jax.runs.lock import InUse, lock_directory
 from experiments import inventory
 from experiments.commands import RUNS, analysis_words, export_words, is_copied, train_words
 from experiments.inventory import POLICY, Job, is_kept, is_whole, missing
@@ -47,7 +47,7 @@ def make_whole(job: Job) -> bool:
     if is_whole(job):
         return True
     try:
-        with hold(RUNS / IN_HAND / job.name, lambda _: None):
+        with lock_directory(RUNS / IN_HAND / job.name, lambda _: None):
             for line in plan(job):
                 say(line)
             if not is_kept(job):

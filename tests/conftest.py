@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import gc
 import resource
 import shutil
@@ -14,12 +12,11 @@ from pathlib import Path
 import jax
 import pytest
 
-from ear_jax import run
-from ear_jax.config import CheckpointConfig, Config, flat
-from ear_jax.presets import preset_config
-from ear_jax.run import compile_program, train_run
-from ear_jax.train import Program, make_program, seed_keys
+from ear_jax.config import Config
+from ear_jax.runs import loop
+from ear_jax.runs.loop import train_run
 from experiments import inventory
+from tests.helpers.runs import _compile_once, finished_config, tiny_config
 
 
 @pytest.fixture(autouse=True, scope="session")
@@ -49,50 +46,15 @@ def tiny() -> Config:
     return tiny_config()
 
 
-def tiny_config(**changes: object) -> Config:
-    base = preset_config("halfcheetah-vel", "smoke")
-    base = dataclasses.replace(
-        base,
-        engine="native",
-        epochs=4,
-        tasks=("1", "3"),
-        network=dataclasses.replace(base.network, width=16),
-        sac=dataclasses.replace(base.sac, batch_size=32, updates=4),
-        collect=dataclasses.replace(base.collect, envs=2, steps=5, pretrain_epochs=2),
-        replay=dataclasses.replace(base.replay, capacity=400),
-        log=dataclasses.replace(base.log, epochs=2, episodes=1),
-    )
-    return dataclasses.replace(base, **changes)  # type: ignore[arg-type]
-
-
 @pytest.fixture
 def run_directory(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def finished_config(**changes: object) -> Config:
-    """Of the finished run below: two seeds, 12 blocks of 2 epochs, checkpoints of epochs 6, 12, 18 and 24."""
-    return tiny_config(**{"seeds": 2, "epochs": 24, "checkpoint": CheckpointConfig(blocks=3), **changes})
-
-
 @pytest.fixture
 def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs of one configuration share one compiled program, which is most of what a small run costs."""
-    monkeypatch.setattr(run, "compile_program", _compile_once)
-
-
-def compiled(config: Config) -> run.Compiled:
-    """The compiled program of a configuration; of those that differ only in how long to train, the same."""
-    return _compiled(dataclasses.replace(config, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
-
-
-@functools.cache
-def _compiled(config: Config) -> run.Compiled:
-    return compile_program(make_program(config), seed_keys(config))
-
-
-def _compile_once(program: Program, keys: jax.Array) -> run.Compiled:
-    return compiled(program.config)
+    monkeypatch.setattr(loop, "compile_program", _compile_once)
 
 
 @pytest.fixture(scope="session")
@@ -100,7 +62,7 @@ def finished_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that was trained once for all tests, which none may change."""
     directory = tmp_path_factory.mktemp("finished") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "compile_program", _compile_once)
+        patch.setattr(loop, "compile_program", _compile_once)
         train_run(finished_config(), directory)
     return directory
 
@@ -109,19 +71,6 @@ def finished_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(finished_once: Path, tmp_path: Path) -> Path:
     """A copy of it."""
     return Path(shutil.copytree(finished_once, tmp_path / "finished"))
-
-
-def words(config: Config) -> list[str]:
-    """The command line of a configuration, every setting named."""
-    given = {name: value for name, value in flat(config).items() if value is not None and name != "family"}
-    found = ["train", config.family]
-    for name, value in given.items():
-        found += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
-    return found
-
-
-# Where a write fails, Orbax leaves others behind that nobody waits for, and Python tells of them when it finds them.
-stray_writes = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 
 @pytest.fixture

@@ -9,17 +9,18 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import ltes, records
-from ear_jax.adapt import adapt
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
+from ear_jax.embeddings import ltes
+from ear_jax.embeddings.adapt import adapt
+from ear_jax.embeddings.search import Search, episodes_an_epoch
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
-from ear_jax.report.search import draw_search
-from ear_jax.search import Search, episodes_an_epoch
+from ear_jax.figures.adapt import draw_search
+from ear_jax.process.terminal import phase
+from ear_jax.runs import records
+from ear_jax.runs.trained import Trained
 from ear_jax.tasks import task_set
-from ear_jax.terminal import phase
-from ear_jax.trained import Trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,16 +110,16 @@ def _print(document: dict[str, Any], unit: str) -> None:
     several = len({task["seed"] for task in tasks}) > 1
     names = [f"{task['name']} seed {task['seed']}" if several else task["name"] for task in tasks]
     for name, task in zip(names, tasks, strict=True):
-        cells = [name]
+        env_states = [name]
         if searched:
             epochs = task["epochs"]
-            cells += [
+            env_states += [
                 f"{epochs[min(epoch, len(epochs) - 1)]['best_of_epoch']:.1f}" for epoch in (0, 2, len(epochs) - 1)
             ]
-            cells += [f"{epochs[-1]['reevaluated']:.1f}", f"{epochs[-1]['achieved']:.2f}"]
+            env_states += [f"{epochs[-1]['reevaluated']:.1f}", f"{epochs[-1]['achieved']:.2f}"]
         answer = task["zero_shot"]
-        cells += [f"{answer['reevaluated']:.1f}", f"{answer['achieved']:.2f}"] if answer else ["–", "–"]
-        table.add_row(*cells)
+        env_states += [f"{answer['reevaluated']:.1f}", f"{answer['achieved']:.2f}"] if answer else ["–", "–"]
+        table.add_row(*env_states)
     Console(highlight=False).print(table)
     if searched:
         print("best of the 1st, 3rd and last epoch; the last judged again by fresh episodes; what these achieved")

@@ -9,14 +9,14 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import records
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.interpolate import find_end
 from ear_jax.cli.on_run import OnRun
-from ear_jax.compose import BETAS, compose
+from ear_jax.embeddings.compose import BETAS, compose
 from ear_jax.errors import UsageError
-from ear_jax.report.gaits import draw_gaits
-from ear_jax.terminal import phase
+from ear_jax.figures.compose import draw_gaits
+from ear_jax.process.terminal import phase
+from ear_jax.runs import records
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,21 +14,22 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import pretrained, records
+from ear_jax import pretrained
 from ear_jax.cli.arguments import parse
 from ear_jax.cli.evaluate import keep_evaluation, print_evaluation
-from ear_jax.codes import blend
+from ear_jax.embeddings.codes import blend
+from ear_jax.embeddings.evaluate import evaluate
+from ear_jax.embeddings.interpolate import Pair, adjacent_pairs, interpolate, play_blends, trained_ends
+from ear_jax.embeddings.trajectory import follow
 from ear_jax.errors import RunError, UsageError
-from ear_jax.evaluate import evaluate
-from ear_jax.interpolate import Pair, adjacent_pairs, interpolate, play_blends, trained_ends
+from ear_jax.figures.strip import draw_strip
 from ear_jax.presets import preset_config
-from ear_jax.render import arrange, photograph
-from ear_jax.report.strip import draw_strip
-from ear_jax.run import train_run
-from ear_jax.runtime import enable_cache
-from ear_jax.terminal import phase, say
-from ear_jax.trained import Trained, load
-from ear_jax.trajectory import follow
+from ear_jax.process.runtime import enable_cache
+from ear_jax.process.terminal import phase, say
+from ear_jax.rendering.film import arrange, photograph
+from ear_jax.runs import records
+from ear_jax.runs.loop import train_run
+from ear_jax.runs.trained import Trained, load
 
 FAMILY = "halfcheetah-vel"
 OUT = Path("runs/demo")

@@ -8,9 +8,9 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
-from ear_jax import records
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import RunError
+from ear_jax.runs import records
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def _running() -> dict[str, Any]:
     import jax
 
     from ear_jax.physics import choose_engine
-    from ear_jax.runtime import available_bytes, cache_dir, compiler_options, has_amx
+    from ear_jax.process.runtime import available_bytes, cache_dir, compiler_options, has_amx
 
     memory = available_bytes()
     return {

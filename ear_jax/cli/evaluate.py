@@ -11,11 +11,12 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import ltes, records
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.evaluate import evaluate, evaluate_code
-from ear_jax.report.figures import draw_run
+from ear_jax.embeddings import ltes
+from ear_jax.embeddings.evaluate import evaluate, evaluate_code
+from ear_jax.figures.evaluate import draw_run
+from ear_jax.runs import records
 
 
 @dataclass(frozen=True, kw_only=True)

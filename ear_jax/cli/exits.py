@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 
 from ear_jax.errors import RunError, UsageError
-from ear_jax.stopping import Stopped
+from ear_jax.process.stopping import Stopped
 
 
 def exit_code(program: str, command: Callable[[], None]) -> int:

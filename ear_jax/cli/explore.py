@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnPolicy
-from ear_jax.explore import play_sphere
-from ear_jax.report.explorer import write_page
-from ear_jax.terminal import phase
+from ear_jax.figures.explore import write_page
+from ear_jax.process.terminal import phase
+from ear_jax.rendering.explore import play_sphere
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import tyro
 
-from ear_jax import records
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import UsageError
-from ear_jax.export import SUFFIX
-from ear_jax.trained import load, pick, save
+from ear_jax.runs import records
+from ear_jax.runs.export import SUFFIX
+from ear_jax.runs.trained import load, pick, save
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,16 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax import ltes, records
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
+from ear_jax.embeddings import ltes
+from ear_jax.embeddings.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
-from ear_jax.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
-from ear_jax.report.blends import draw_blends
-from ear_jax.terminal import phase
-from ear_jax.trained import Trained
+from ear_jax.figures.interpolate import draw_blends
+from ear_jax.process.terminal import phase
+from ear_jax.runs import records
+from ear_jax.runs.trained import Trained
 
 HEADINGS = {"mid_task": "mid", "one_to_one": "1:1", "one_to_one_outcome": "at β = ½"}
 
@@ -88,7 +89,7 @@ def find_pair(trained: Trained, first: str, second: str) -> Pair:
 def find_end(trained: Trained, word: str) -> End:
     """A saved LTE by its name, or a training task."""
     family, program = trained.program.family, trained.program
-    if word in ltes.named(trained.directory):
+    if word in ltes.saved(trained.directory):
         saved = ltes.lookup(trained.directory, word, trained.fingerprint)
         return End(word, find_task(family, saved["task"]).target, np.array(saved["codes"], np.float32))
     return trained_ends(trained)[program.tasks.index(find_task(family, word).name)]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from ear_jax import records
 from ear_jax.cli.arguments import parse
 from ear_jax.cli.on_run import OnRun
+from ear_jax.embeddings.lse import describe, sense
 from ear_jax.envs import find_task
-from ear_jax.report.signals import draw_signals
-from ear_jax.sensing import describe, sense
+from ear_jax.figures.lse import draw_signals
+from ear_jax.runs import records
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from ear_jax import records
-from ear_jax.atlas import check_sphere, describe, survey
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.report.maps import draw_map
-from ear_jax.terminal import phase
+from ear_jax.embeddings.map import check_sphere, describe, survey
+from ear_jax.figures.map import draw_map
+from ear_jax.process.terminal import phase
+from ear_jax.runs import records
 
 
 @dataclass(frozen=True, kw_only=True)

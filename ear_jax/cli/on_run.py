@@ -10,8 +10,8 @@ import tyro
 
 from ear_jax.config import MAX_SEED
 from ear_jax.errors import UsageError
-from ear_jax.runtime import enable_cache
-from ear_jax.trained import Trained, check_policy, load
+from ear_jax.process.runtime import enable_cache
+from ear_jax.runs.trained import Trained, check_policy, load
 
 
 @dataclass(frozen=True, kw_only=True)

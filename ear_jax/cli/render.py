@@ -12,19 +12,20 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from ear_jax import ltes, records
+from ear_jax.agents.networks import Params
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnPolicy
+from ear_jax.embeddings import ltes
+from ear_jax.embeddings.interpolate import between
+from ear_jax.embeddings.trajectory import Trajectory, follow
 from ear_jax.envs import Family, find_task
 from ear_jax.errors import RunError, UsageError
-from ear_jax.interpolate import between
-from ear_jax.networks import Params
-from ear_jax.render import arrange, film, photograph
-from ear_jax.report.strip import draw_strip
-from ear_jax.report.video import write_gif, write_mp4
-from ear_jax.terminal import phase, say
-from ear_jax.trained import Trained
-from ear_jax.trajectory import Trajectory, follow
+from ear_jax.figures.strip import draw_strip
+from ear_jax.figures.video import write_gif, write_mp4
+from ear_jax.process.terminal import phase, say
+from ear_jax.rendering.film import arrange, film, photograph
+from ear_jax.runs import records
+from ear_jax.runs.trained import Trained
 
 BETAS = (0.75, 0.5, 0.25)
 
@@ -50,7 +51,7 @@ class RenderCommand(OnPolicy):
 
 
 @dataclass(frozen=True)
-class Scene:
+class Shot:
     """One thing to show."""
 
     name: str
@@ -63,12 +64,12 @@ def main(words: list[str]) -> None:
     trained = command.load()
     program = trained.program
     policy = jax.tree.map(lambda leaf: leaf[command.policy], trained.policies)
-    scenes = _scenes(command, trained, policy)
+    shots = _scenes(command, trained, policy)
     with phase("rolling out"):
-        codes = jnp.stack([scene.code for scene in scenes])
+        codes = jnp.stack([shot.code for shot in shots])
         trajectories = follow(program, policy, codes, command.steps, jax.random.key(command.seed))
-    name = _file_name(command, scenes)
-    files = _draw(trained.directory, name, program.family, scenes, trajectories, command.film)
+    name = _file_name(command, shots)
+    files = _draw(trained.directory, name, program.family, shots, trajectories, command.film)
     if not command.json:
         print("pictures: " + ", ".join(map(str, files.values())))
         return
@@ -77,13 +78,13 @@ def main(words: list[str]) -> None:
         "commanded": {"outcome": program.family.commanded, "unit": program.family.unit},
         "scenes": [
             {
-                "name": scene.name,
-                "lte": scene.code.tolist(),
+                "name": shot.name,
+                "lte": shot.code.tolist(),
                 "steps": len(trajectory.qpos) - 1,
                 "fell": trajectory.fell,
                 "outcome": trajectory.achieved,
             }
-            for scene, trajectory in zip(scenes, trajectories, strict=True)
+            for shot, trajectory in zip(shots, trajectories, strict=True)
         ],
         "files": {kind: str(path) for kind, path in files.items()},
     }
@@ -100,7 +101,7 @@ def _check(command: RenderCommand) -> None:
     check_finite("--beta", *command.beta)
 
 
-def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Scene]:
+def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Shot]:
     """What is asked for, in the order it is shown."""
     program, agent, tasks = trained.program, trained.program.agent, trained.program.tasks
     table = agent.codes(policy)
@@ -109,32 +110,32 @@ def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Sc
         return tasks.index(find_task(program.family, name).name)
 
     if command.task:
-        return [Scene(tasks.names[index], table[index]) for index in map(row, command.task)]
+        return [Shot(tasks.names[index], table[index]) for index in map(row, command.task)]
     if command.lte:
         codes = ltes.find(trained.directory, command.lte, program.config.seeds, agent.code_size, trained.fingerprint)
-        return [Scene("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
+        return [Shot("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
     one, other = map(row, command.interpolate or ())
     if one == other:
         raise UsageError(f"--interpolate {' '.join(command.interpolate or ())} names one task twice")
 
     way = between(agent, command.along)
     betas = sorted(command.beta or BETAS, reverse=True)
-    blends = [Scene(f"β = {beta:g}", way(table[one], table[other], jnp.float32(beta))) for beta in betas]
-    return [Scene(tasks.names[one], table[one]), *blends, Scene(tasks.names[other], table[other])]
+    blends = [Shot(f"β = {beta:g}", way(table[one], table[other], jnp.float32(beta))) for beta in betas]
+    return [Shot(tasks.names[one], table[one]), *blends, Shot(tasks.names[other], table[other])]
 
 
-def _file_name(command: RenderCommand, scenes: list[Scene]) -> str:
-    names = [scene.name for scene in scenes]
+def _file_name(command: RenderCommand, shots: list[Shot]) -> str:
+    names = [shot.name for shot in shots]
     name = f"{names[0]}_to_{names[-1]}" if command.interpolate else "_".join(names)
     return re.sub(r"[^\w.-]+", "_", name)
 
 
 def _draw(
-    run: Path, name: str, family: Family, scenes: list[Scene], trajectories: list[Trajectory], filmed: bool
+    run: Path, name: str, family: Family, shots: list[Shot], trajectories: list[Trajectory], filmed: bool
 ) -> dict[str, Path]:
     """Writes strip and films; without OpenGL only the strip, as sticks, and then raises RunError."""
     figures = records.folder(run / "figures")
-    labels = [_label(family, *pair) for pair in zip(scenes, trajectories, strict=True)]
+    labels = [_label(family, *pair) for pair in zip(shots, trajectories, strict=True)]
     strip = arrange(family.portrait(), trajectories, labels, family.dt)
     path = figures / f"strip_{name}.png"
     try:
@@ -143,7 +144,7 @@ def _draw(
         if not filmed:
             return {"strip": path}
         with phase("filming"):
-            pictures, seconds = film(strip.model, trajectories, [scene.name for scene in scenes], family.dt)
+            pictures, seconds = film(strip.model, trajectories, [shot.name for shot in shots], family.dt)
     except RunError as error:
         draw_strip(path, strip.panels, strip.bounds, strip.caption)
         raise RunError(f"{error}; without it there is {path}, and no film") from None
@@ -156,6 +157,6 @@ def _draw(
     return files
 
 
-def _label(family: Family, scene: Scene, trajectory: Trajectory) -> str:
+def _label(family: Family, shot: Shot, trajectory: Trajectory) -> str:
     fell = "\nfell" if trajectory.fell else ""
-    return f"{textwrap.fill(scene.name, 16)}\n{trajectory.achieved:z.2f} {family.unit}{fell}"
+    return f"{textwrap.fill(shot.name, 16)}\n{trajectory.achieved:z.2f} {family.unit}{fell}"

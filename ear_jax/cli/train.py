@@ -12,14 +12,14 @@ import tyro
 
 from ear_jax.cli.arguments import parse
 from ear_jax.config import Config, flat
-from ear_jax.directory import check_place, default_directory
 from ear_jax.envs.registry import FAMILIES, find_family
 from ear_jax.errors import UsageError
-from ear_jax.estimate import check_memory, gigabytes, memory, times
 from ear_jax.presets import check_effect, preset_config
-from ear_jax.run import header, train_run
-from ear_jax.runtime import enable_cache
-from ear_jax.train import make_program
+from ear_jax.process.runtime import enable_cache
+from ear_jax.runs.directory import check_place, default_directory
+from ear_jax.runs.estimate import check_memory, gigabytes, memory, times
+from ear_jax.runs.loop import header, train_run
+from ear_jax.runs.training import make_program
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 import jax
@@ -14,7 +14,7 @@ from ear_jax.envs.symmetry import Symmetry
 from ear_jax.errors import UsageError
 from ear_jax.physics import Motion, Physics, make_engine
 from ear_jax.physics.models import load_model
-from ear_jax.quiet import Env, State
+from ear_jax.process.silent_imports import Env, State
 from ear_jax.tasks import Task, TaskParams, TaskSet
 
 Outcome = dict[str, jax.Array]
@@ -42,6 +42,8 @@ class Family(Env):
     unit: ClassVar[str]  # of the target and of that outcome
     period: ClassVar[float | None] = None  # where that quantity wraps, as directions do at 360
     episode_length: ClassVar[int] = 200  # steps; a time limit, which is no termination
+
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # preset → settings it changes for this family
 
     history: int = 1  # observations shown at once; at a start, the first in place of those before it
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -29,6 +32,7 @@ class HalfCheetahRunJump(HalfCheetah):
     commanded, unit = "velocity", "m/s"
     options = ("jump_height",)
     jump_height = "hind_foot"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"smoke": {"tasks": ("back-1", "back-3", "jump-5")}}
 
     def load(self) -> mujoco.MjModel:
         if self.jump_height not in ("hind_foot", "torso"):
@@ -67,3 +71,6 @@ def _back(speed: float) -> Task:
 
 def _jump(weight: float) -> Task:
     return Task(f"jump-{weight:g}", target=None, params={"run": 0.0, "velocity": 0.0, "jump": float(weight)})
+
+
+FAMILY = HalfCheetahRunJump

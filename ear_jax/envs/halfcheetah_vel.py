@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -34,3 +35,7 @@ class HalfCheetahVel(HalfCheetah, VelocityFamily):
     speeds = tuple(float(speed) for speed in range(1, 11))
     adaptation_range = (1.0, 10.0)
     control_cost = 0.1
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"smoke": {"tasks": ("1", "2", "3")}}
+
+
+FAMILY = HalfCheetahVel

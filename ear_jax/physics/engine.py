@@ -1,46 +1,16 @@
-"""The state every engine steps, what a step is told apart by, and the choice of engine."""
+"""The choice of a physics engine."""
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import jax
 import mujoco
-from flax import struct
 
 from ear_jax.errors import RunError, unknown
+from ear_jax.physics.mjx import MjxEngine
+from ear_jax.physics.native import NativeEngine
+from ear_jax.physics.state import Engine
 
 ENGINES = ("native", "mjx", "warp")
-
-
-@struct.dataclass
-class Physics:
-    """One simulation's MuJoCo state: all that a step reads, the same on every engine, so a run can change engines."""
-
-    qpos: jax.Array  # [nq] generalised positions
-    qvel: jax.Array  # [nv] generalised velocities
-    warmstart: jax.Array  # [nv] last acceleration, from which the constraint solver starts
-    mocap: jax.Array | None = None  # [nmocap, 3] metres: where bodies stand that are moved by hand, in models with such
-
-
-@struct.dataclass
-class Motion:
-    """One environment step of one simulation, as a family judges it."""
-
-    before: Physics
-    action: jax.Array  # [nu] control held during the step
-    after: Physics
-    positions: jax.Array  # [bodies, 3] metres: where the family's tracked bodies are in `after`
-
-
-class Engine(Protocol):
-    """Steps one simulation; `jax.vmap` batches it."""
-
-    name: str
-
-    def step(self, physics: Physics, action: jax.Array) -> Motion:
-        """Holds `action` [nu] for one environment step."""
-        ...
 
 
 def choose_engine(name: str) -> str:
@@ -82,11 +52,7 @@ def make_engine(
     body_ids = [_body_id(model, body) for body in bodies]
     name = choose_engine(name)
     if name == "native":
-        from ear_jax.physics.native import NativeEngine
-
         return NativeEngine(model, substeps, body_ids)
-    from ear_jax.physics.mjx import MjxEngine
-
     return MjxEngine(model, substeps, body_ids, mjx_solver, name)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from ear_jax.quiet import mjx
+from ear_jax.process.silent_imports import mjx
 
 _product = partial(jnp.matmul, precision="highest")  # where the default rounds to 10 bits, as on a GPU
 

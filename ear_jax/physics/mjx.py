@@ -10,9 +10,9 @@ import jax
 import mujoco
 
 from ear_jax.errors import RunError
-from ear_jax.physics.engine import Motion, Physics
 from ear_jax.physics.kinematics import body_positions
-from ear_jax.quiet import mjx
+from ear_jax.physics.state import Motion, Physics
+from ear_jax.process.silent_imports import mjx
 
 # Warp allocates contacts for all simulations of a batch at once and constraints for each; our robots touch the ground
 # with at most 8 and 128 of these.

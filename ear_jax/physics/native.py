@@ -14,8 +14,8 @@ import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 from mujoco.batch import Batch
 
-from ear_jax.physics.engine import Motion, Physics
 from ear_jax.physics.kinematics import body_positions
+from ear_jax.physics.state import Motion, Physics
 
 
 class NativeEngine:

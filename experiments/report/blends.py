@@ -9,9 +9,9 @@ import numpy as np
 
 from experiments.paper import CHEETAH, COMPOSED, MET, RUN_JUMP, Analysis, numbers
 from experiments.report.blocks import Block, Table
-from experiments.report.found import Found, Run
+from experiments.report.formatting import MISSING, NAMES, interval, lack, number, percent, printed, spread
 from experiments.report.measures import difference, unit
-from experiments.report.words import MISSING, NAMES, interval, lack, number, percent, printed, spread
+from experiments.report.run_index import Run, RunIndex
 from experiments.statistics import interquartile_mean
 
 Column = Mapping[Any, str]  # what a seed has, by the row's key
@@ -32,7 +32,7 @@ def side_by_side(
     return Table(caption, (key, *columns), rows)
 
 
-def midway(table: str, family: str, found: Found) -> list[Block]:
+def midway(table: str, family: str, found: RunIndex) -> list[Block]:
     """Tables 11 to 14: the β that best meets the value midway, and what it achieves."""
     panels = numbers()[table]["panels"]
     paper = {name: {target: _arrow(beta, outcome) for target, beta, outcome in rows} for name, rows in panels.items()}
@@ -53,7 +53,7 @@ def midway(table: str, family: str, found: Found) -> list[Block]:
     ]
 
 
-def halfway(table: str, family: str, found: Found) -> list[Block]:
+def halfway(table: str, family: str, found: RunIndex) -> list[Block]:
     """Tables 15 to 18: what β = ½ achieves."""
     panels = numbers()[table]["panels"]
     paper = {name: {target: number(outcome, 2) for target, outcome in rows} for name, rows in panels.items()}
@@ -73,7 +73,7 @@ def halfway(table: str, family: str, found: Found) -> list[Block]:
     ]
 
 
-def _pairs(found: Found, family: str) -> dict[int, dict[float, dict[str, Any]]]:
+def _pairs(found: RunIndex, family: str) -> dict[int, dict[float, dict[str, Any]]]:
     """Each seed's pairs of neighbours by the value midway."""
     runs = {run.seed: run.of_seed("interpolation", "pairs") for run in found.runs(family)}
     return {seed: {round(pair["target"], 2): pair for pair in pairs} for seed, pairs in runs.items() if pairs}
@@ -105,7 +105,7 @@ def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: di
     )
 
 
-def met(found: Found) -> list[Block]:
+def met(found: RunIndex) -> list[Block]:
     """Table 4: speeds between 2 and 3 m/s; at β = 1 and 0 the two tasks themselves, from the evaluation."""
     panels = numbers()["table-4"]["panels"]
     paper = {name: {row[0]: _arrow(row[1], row[2]) for row in rows} for name, rows in panels.items()}
@@ -125,7 +125,7 @@ def _met_by(run: Run) -> dict[str, str]:
     return column
 
 
-def beyond(analyses: Mapping[str, Sequence[Analysis]], found: Found) -> list[Block]:
+def beyond(analyses: Mapping[str, Sequence[Analysis]], found: RunIndex) -> list[Block]:
     """Table 6: outcomes at β outside [0, 1].
 
     Args:
@@ -147,7 +147,7 @@ def beyond(analyses: Mapping[str, Sequence[Analysis]], found: Found) -> list[Blo
     return blocks
 
 
-def composition(found: Found) -> list[Block]:
+def composition(found: RunIndex) -> list[Block]:
     """Table 10: the β that the paper chose by eye, and what ours do along β."""
     panels = numbers()["table-10"]["panels"]
     chosen = [[name, *(printed(cell) for cell in row)] for name, rows in panels.items() for row in rows]

@@ -13,7 +13,7 @@ from experiments.paper import CHEETAH
 from experiments.report import markdown, page, readme
 from experiments.report.blocks import Block
 from experiments.report.comparison import comparison
-from experiments.report.found import Found
+from experiments.report.run_index import RunIndex
 from experiments.report.sections import all_runs, all_sections
 
 TITLE = "Emergent action representations: the paper's tables and figures, and ours"
@@ -40,12 +40,12 @@ def report(words: list[str]) -> None:
     """
     command = parse(ReportCommand, words, "report", program="python -m experiments")
     preset_config(CHEETAH, command.preset)
-    found = Found(command.preset)
+    found = RunIndex(command.preset)
     for path in readme.rewrite(found) if command.docs else write(found, command.out):
         print(path)
 
 
-def write(found: Found, out: Path) -> Sequence[Path]:
+def write(found: RunIndex, out: Path) -> Sequence[Path]:
     """Writes the page with its figures, and the Markdown; returns the paths of the two.
 
     Raises:
@@ -64,7 +64,7 @@ def write(found: Found, out: Path) -> Sequence[Path]:
     return paths
 
 
-def lead(found: Found) -> list[Block]:
+def lead(found: RunIndex) -> list[Block]:
     """How to read the report."""
     return [
         f"Ours are the runs of the preset `{found.preset}` that `experiments/records` holds; nothing is trained or "

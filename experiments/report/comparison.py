@@ -8,7 +8,7 @@ import numpy as np
 
 from experiments.paper import ANT, CHEETAH, EXPERIMENTS, FAMILIES, numbers
 from experiments.report.blocks import Points, Section
-from experiments.report.found import Found, Run
+from experiments.report.formatting import NAMES, label, number, percent, printed, seeds
 from experiments.report.measures import (
     failed_tasks,
     mean_return,
@@ -19,7 +19,7 @@ from experiments.report.measures import (
     successes,
     task_returns,
 )
-from experiments.report.words import NAMES, label, number, percent, printed, seeds
+from experiments.report.run_index import Run, RunIndex
 
 Verdict = tuple[bool, str]  # whether we agree, and what is compared
 MEASURES = {"mid_task": "a β meets the value midway", "one_to_one": "β = ½ gives a value between"}
@@ -44,7 +44,7 @@ WHY = (
 )
 
 
-def comparison(found: Found) -> Section:
+def comparison(found: RunIndex) -> Section:
     """The section; it says of each family without runs that there is nothing to compare yet."""
     told = [*(verdict for family in FAMILIES for verdict in _verdicts(found, family)), *_baselines(found)]
     agree, differ = ([words for agrees, words in told if agrees is wanted] for wanted in (True, False))
@@ -67,7 +67,7 @@ def comparison(found: Found) -> Section:
     )
 
 
-def _verdicts(found: Found, family: str) -> Iterator[Verdict]:
+def _verdicts(found: RunIndex, family: str) -> Iterator[Verdict]:
     runs, paper = found.runs(family), paper_return(family, "ear")
     if not runs or not paper:
         return
@@ -88,7 +88,7 @@ def _verdicts(found: Found, family: str) -> Iterator[Verdict]:
         )
 
 
-def _baselines(found: Found) -> Iterator[Verdict]:
+def _baselines(found: RunIndex) -> Iterator[Verdict]:
     """Other methods beside their rows in the paper."""
     for method in EXPERIMENTS["table-1"].methods:
         runs, paper = found.of(method), paper_return(method.family, method.agent)
@@ -101,7 +101,7 @@ def _return_verdict(of: str, runs: list[Run], paper: dict[str, float]) -> Verdic
     return enough, f"{of}, return: {returns(runs)}; the paper {printed(paper)}."
 
 
-def _budgets(found: Found) -> Iterator[str]:
+def _budgets(found: RunIndex) -> Iterator[str]:
     """How much less than the paper's our runs trained."""
     shares = []
     for family in FAMILIES:
@@ -118,7 +118,7 @@ def _budgets(found: Found) -> Iterator[str]:
         yield f"{recipe}Of what the paper trained, ours had: {'; '.join(shares)}."
 
 
-def _cheetah(found: Found) -> Iterator[str]:
+def _cheetah(found: RunIndex) -> Iterator[str]:
     """What starting up costs the cheetah, and its two hardest tasks."""
     runs = found.runs(CHEETAH)
     if not runs:
@@ -151,7 +151,7 @@ def _start_up_loss(run: Run) -> float | None:
     return float(np.mean(losses)) if losses else None
 
 
-def _onehot(found: Found) -> Iterator[str]:
+def _onehot(found: RunIndex) -> Iterator[str]:
     """What OHE-SAC reaches with its one-hot and without, beside the paper's row."""
     for family in FAMILIES:
         paper = paper_return(family, "onehot")

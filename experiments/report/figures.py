@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ear_jax.report.figures import STYLE, legend_below, look
-from experiments.report.found import Run
+from ear_jax.figures.style import STYLE, legend_below, look
+from experiments.report.run_index import Run
 
 Lines = dict[str, list[Run]]  # runs by the label of their line
 PANEL = (4.3, 3.3)  # inches

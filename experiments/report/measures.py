@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ear_jax import safetensors
+from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
+from ear_jax.envs import FAMILIES
+from ear_jax.runs import safetensors
 from experiments.inventory import POLICY
-from experiments.paper import ANT, CHEETAH, HOPPER, REACH, WALKER, numbers
-from experiments.report.found import Run
-from experiments.report.words import MISSING, NAMES, seeds, spread
+from experiments.paper import ANT, CHEETAH, HOPPER, WALKER, numbers
+from experiments.report.formatting import MISSING, NAMES, seeds, spread
+from experiments.report.run_index import Run
 
 BLENDED = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
-BETAS, REACHED = (0.1, 0.9), 0.05  # of `ear interpolate`, which imports JAX
-ANGLES = (ANT, REACH)  # families that command one, in degrees; the others a speed
 
 
 def task_returns(run: Run) -> dict[str, float]:
@@ -99,11 +99,12 @@ def _counted(of_seeds: dict[int, list[bool]]) -> Count | None:
 def difference(family: str, one: Any, other: Any) -> Any:
     """one − other; of directions the short way round, in degrees."""
     apart = np.asarray(one, float) - np.asarray(other, float)
-    return (apart + 180) % 360 - 180 if family in ANGLES else apart
+    period = FAMILIES[family].period
+    return apart if period is None else (apart + period / 2) % period - period / 2
 
 
 def unit(family: str) -> str:
-    return "°" if family in ANGLES else "m/s"
+    return FAMILIES[family].unit.replace("degrees", "°")
 
 
 def paper_return(family: str, agent: str) -> dict[str, float] | None:
@@ -135,7 +136,7 @@ def paper_recount(family: str, what: str) -> Count:
         if what == "one_to_one":
             counted[seed] = list(miss < gap / 2)
         else:
-            inside = [BETAS[0] < row[1] < BETAS[1] for row in rows]
+            inside = [MID_TASK_RANGE[0] < row[1] < MID_TASK_RANGE[1] for row in rows]
             near = miss <= REACHED * gap + 1e-6  # the paper's two digits, as floats
             counted[seed] = list(near & np.array(inside))
     found = _counted(counted)

@@ -8,20 +8,20 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ear_jax.report.gaits import draw_gaits
-from ear_jax.report.maps import draw_map
-from ear_jax.report.signals import draw_signals
+from ear_jax.figures.compose import draw_gaits
+from ear_jax.figures.lse import draw_signals
+from ear_jax.figures.map import draw_map
 from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis
 from experiments.report.blocks import Block, Picture, Table
 from experiments.report.figures import Lines, adaptation_curves, draw_panels, task_curves, training_curves
-from experiments.report.found import Found, Run
+from experiments.report.formatting import NAMES, label, number
 from experiments.report.measures import paper_return
-from experiments.report.words import NAMES, label, number
+from experiments.report.run_index import Run, RunIndex
 
 FOLDER = "figures"
 
 
-def _panels(id: str, found: Found, has: Callable[[Run], Any]) -> dict[str, Lines]:
+def _panels(id: str, found: RunIndex, has: Callable[[Run], Any]) -> dict[str, Lines]:
     """A figure's lines by family, of the runs that have what it shows; nothing without a run is there."""
     panels: dict[str, Lines] = {}
     for method in EXPERIMENTS[id].methods:
@@ -31,7 +31,7 @@ def _panels(id: str, found: Found, has: Callable[[Run], Any]) -> dict[str, Lines
     return panels
 
 
-def training(id: str, found: Found, out: Path) -> list[Block]:
+def training(id: str, found: RunIndex, out: Path) -> list[Block]:
     """Figures 2, 8, 10, 12 and 13."""
     panels = _panels(id, found, lambda run: run.rows)
     if not panels:
@@ -49,7 +49,7 @@ def training(id: str, found: Found, out: Path) -> list[Block]:
     return [Picture(f"{FOLDER}/{id}.png", caption)]
 
 
-def adaptation(id: str, found: Found, out: Path) -> list[Block]:
+def adaptation(id: str, found: RunIndex, out: Path) -> list[Block]:
     """Figures 5, 11 and 14."""
     panels = _panels(id, found, lambda run: any(task["epochs"] for task in run.of_seed("adaptation", "tasks")))
     if not panels:
@@ -87,7 +87,7 @@ def _answer(task: dict[str, Any]) -> list[str]:
     return [*(number(value, 2) for value in values), number(answer["reevaluated"]), third]
 
 
-def each_task(id: str, found: Found, out: Path) -> list[Block]:
+def each_task(id: str, found: RunIndex, out: Path) -> list[Block]:
     """Figure 9."""
     blocks: list[Block] = []
     for run in found.runs(CHEETAH):
@@ -110,7 +110,7 @@ def _drawn(runs: list[Run], name: str, caption: str, draw: Callable[[Path, Any],
     return blocks
 
 
-def stills(id: str, found: Found, out: Path) -> list[Block]:
+def stills(id: str, found: RunIndex, out: Path) -> list[Block]:
     """Figure 3."""
     strips = _strips(found.runs(CHEETAH), STILLS, out)
     return [*strips, "The paper looked for β that meet 1.2, 1.5 and 1.7 m/s; ours are fixed."] if strips else []
@@ -136,7 +136,7 @@ def _seen(document: dict[str, Any]) -> str:
     return f"{document['scenes'][0]['steps']} steps from one start: {', '.join(scenes)}"
 
 
-def composed(id: str, found: Found, out: Path) -> list[Block]:
+def composed(id: str, found: RunIndex, out: Path) -> list[Block]:
     """Figure 4."""
     caption = "Outcomes along β, means over the second half of the roll-out, and which feet are down"
     runs = found.runs(RUN_JUMP)
@@ -144,7 +144,7 @@ def composed(id: str, found: Found, out: Path) -> list[Block]:
     return strips + [block for one in COMPOSED for block in _drawn(runs, one.name, caption, draw_gaits, out)]
 
 
-def sensory(id: str, found: Found, out: Path) -> list[Block]:
+def sensory(id: str, found: RunIndex, out: Path) -> list[Block]:
     """Figure 6."""
     caption = (
         "Raw state and latent state embedding along a gait in their main directions, and their autocorrelations, at "
@@ -153,7 +153,7 @@ def sensory(id: str, found: Found, out: Path) -> list[Block]:
     return _drawn(found.runs(CHEETAH), "lse", caption, draw_signals, out)
 
 
-def sphere(id: str, found: Found, out: Path) -> list[Block]:
+def sphere(id: str, found: RunIndex, out: Path) -> list[Block]:
     """Figure 7."""
     caption = "The sphere of LTEs, coloured by the speed each place gives (m/s); circles: training tasks"
     return _drawn(found.runs(CHEETAH), "map", caption, draw_map, out)

@@ -11,10 +11,10 @@ from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, GATHERED, REACH
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
 from experiments.report.comparison import comparison
-from experiments.report.found import Found, Run
+from experiments.report.formatting import MISSING, NAMES, VARIANTS, count, label, number, percent, printed, span
 from experiments.report.measures import paper_budget, paper_counts, paper_return, returns, successes, unit
+from experiments.report.run_index import Run, RunIndex
 from experiments.report.sections import TABLES, describe_machine, machine, title
-from experiments.report.words import MISSING, NAMES, VARIANTS, count, label, number, percent, printed, span
 
 ROOT = Path(__file__).parents[2]
 README, DETAILS = ROOT / "README.md", ROOT / "docs" / "results.md"
@@ -23,14 +23,14 @@ TOLD = (*FAMILIES, RUN_JUMP, REACH)
 COLUMNS = ("family", "return", "the paper", "midway", "between", "from a map", "minutes a seed")
 
 
-def rewrite(found: Found) -> list[Path]:
+def rewrite(found: RunIndex) -> list[Path]:
     """Puts the results into both documents; raises RunError where one has no place for them, or cannot be written."""
     documents.put(README, PLACE, results(found))
     documents.put(DETAILS, PLACE, details(found))
     return [README, DETAILS]
 
 
-def details(found: Found) -> str:
+def details(found: RunIndex) -> str:
     """Every table, and in words where we agree with the paper."""
     parts = [*map(markdown.block, comparison(found).blocks)]
     for id, build in TABLES.items():
@@ -38,7 +38,7 @@ def details(found: Found) -> str:
     return "\n\n".join(parts)
 
 
-def results(found: Found) -> str:
+def results(found: RunIndex) -> str:
     """EAR on every family, all methods on the cheetah, OHE-SAC with and without its one-hot, and notes on the runs."""
     runs = {family: found.runs(family) for family in TOLD}
     methods = [(family, variant) for family in TOLD for variant in ("", WIDE, GATHERED)]
@@ -103,7 +103,7 @@ def _budget(runs: dict[str, list[Run]]) -> str:
     return f"Env steps and updates a seed, and of the paper's: {'; '.join(said)}." if said else ""
 
 
-def _shipped(found: Found) -> list[str]:
+def _shipped(found: RunIndex) -> list[str]:
     """Of each agent that ships but is of none of the runs told of: what trained it, and what it returns."""
     told = {run.name for run in found.all()}
     return [
@@ -116,7 +116,7 @@ def _shipped(found: Found) -> list[str]:
     ]
 
 
-def _methods(found: Found) -> list[list[str]]:
+def _methods(found: RunIndex) -> list[list[str]]:
     rows = []
     for method in EXPERIMENTS["agents"].methods:
         runs = found.of(method)
@@ -125,7 +125,7 @@ def _methods(found: Found) -> list[list[str]]:
     return rows
 
 
-def _one_hot(found: Found) -> list[list[str]]:
+def _one_hot(found: RunIndex) -> list[list[str]]:
     """OHE-SAC with its one-hot and without, beside the paper's, on each family."""
     rows = []
     for family in FAMILIES:

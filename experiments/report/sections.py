@@ -17,12 +17,12 @@ from experiments.paper import (
 )
 from experiments.report import blends, pictures, settings, tables
 from experiments.report.blocks import Block, Section, Table
-from experiments.report.found import Found, Run
+from experiments.report.formatting import MISSING, NAMES, NO_RUN, count, label, lack, number
 from experiments.report.measures import BLENDED
-from experiments.report.words import MISSING, NAMES, NO_RUN, count, label, lack, number
+from experiments.report.run_index import Run, RunIndex
 
 BEYOND = {CHEETAH: SPEEDS_BEYOND, ANT: DIRECTIONS_BEYOND}
-TABLES: dict[str, Callable[[Found], list[Block]]] = {
+TABLES: dict[str, Callable[[RunIndex], list[Block]]] = {
     "table-1": tables.all_returns,
     "table-2": settings.hyperparameters,
     "table-3": settings.training_tasks,
@@ -40,7 +40,7 @@ TABLES: dict[str, Callable[[Found], list[Block]]] = {
     **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(BLENDED)},
     **{f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(BLENDED)},
 }
-FIGURES: dict[str, Callable[[str, Found, Path], list[Block]]] = {
+FIGURES: dict[str, Callable[[str, RunIndex, Path], list[Block]]] = {
     **{f"figure-{number}": pictures.training for number in (2, 8, 10, 12, 13)},
     **{f"figure-{number}": pictures.adaptation for number in (5, 11, 14)},
     "figure-3": pictures.stills,
@@ -51,7 +51,7 @@ FIGURES: dict[str, Callable[[str, Found, Path], list[Block]]] = {
 }
 
 
-def section(experiment: Experiment, found: Found, out: Path) -> Section:
+def section(experiment: Experiment, found: RunIndex, out: Path) -> Section:
     """What there is of one table or figure; draws its pictures into `out`/figures."""
     if experiment.id in TABLES:
         blocks = TABLES[experiment.id](found)
@@ -68,14 +68,14 @@ def title(experiment: Experiment) -> str:
     return f"{experiment.id.replace('-', ' ').capitalize()}: {experiment.shows}"
 
 
-def _lack(experiment: Experiment, found: Found) -> str:
+def _lack(experiment: Experiment, found: RunIndex) -> str:
     """Why there is nothing of ours to show, or an empty string."""
     runs = [(run, method.analyses) for method in experiment.methods for run in found.of(method)]
     shown = any(not analyses or any(run.document(one.name) for one in analyses) for run, analyses in runs)
     return "" if shown else lack(runs).removeprefix(f"{MISSING}, ")
 
 
-def _runs_behind(experiment: Experiment, found: Found) -> Table:
+def _runs_behind(experiment: Experiment, found: RunIndex) -> Table:
     """The commands behind an experiment, a row a run and analysis, and methods that have no run."""
     rows = []
     for method in experiment.methods:
@@ -118,7 +118,7 @@ def describe_machine(where: dict[str, Any], seeds: int) -> str:
     return where.get("accelerator", processor) + (f", {seeds} seeds side by side" if seeds > 1 else "")
 
 
-def all_runs(found: Found) -> Section:
+def all_runs(found: RunIndex) -> Section:
     """Every run of the preset, with how far it went and what its settings were then."""
     rows = [
         [
@@ -139,5 +139,5 @@ def all_runs(found: Found) -> Section:
     return Section("runs", "Runs", blocks)
 
 
-def all_sections(found: Found, out: Path) -> list[Section]:
+def all_sections(found: RunIndex, out: Path) -> list[Section]:
     return [section(experiment, found, out) for experiment in EXPERIMENTS.values()]

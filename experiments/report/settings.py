@@ -6,11 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 from ear_jax.config import Config
+from ear_jax.envs import Family
 from ear_jax.presets import preset_config
 from experiments.paper import numbers
 from experiments.report.blocks import Block, Table
-from experiments.report.found import Found
-from experiments.report.words import NO_RUN, count, printed
+from experiments.report.formatting import NO_RUN, count, printed
+from experiments.report.run_index import RunIndex
 
 AGENTS = {"EAR-SAC": "ear", "MAML": "maml", "PEARL": "pearl", "MTMH-SAC": "multihead", "OHE-SAC": "onehot"}
 
@@ -19,9 +20,8 @@ def _layers(hidden: int, kind: str = "MLP") -> str:
     return f"{hidden}-layer {kind}"
 
 
-EPISODE = 200  # steps; in `Family.episode_length`, which is not to be had without JAX
 OURS: dict[str, Callable[[Config], Any]] = {
-    "max episode frames": lambda config: EPISODE,
+    "max episode frames": lambda config: Family.episode_length,
     "sensory encoder": lambda config: _layers(config.network.encoder_layers),
     "action decoder": lambda config: _layers(config.network.decoder_layers),
     "task encoder": lambda config: _layers(config.network.task_layers + 1, "FC"),
@@ -40,7 +40,7 @@ OURS: dict[str, Callable[[Config], Any]] = {
 }
 
 
-def hyperparameters(found: Found) -> list[Block]:
+def hyperparameters(found: RunIndex) -> list[Block]:
     """Table 2; layers are hidden ones, as the paper counts them."""
     data = numbers()["table-2"]
     configs = [preset_config(group.split(" and ")[0], found.preset) for group in data["columns"][1:]]
@@ -61,7 +61,7 @@ def _cell(value: Any) -> str:
     return count(value) if isinstance(value, int) else printed(value)
 
 
-def training_tasks(found: Found) -> list[Block]:
+def training_tasks(found: RunIndex) -> list[Block]:
     """Table 3; ours as recorded with the runs."""
     data = numbers()["table-3"]
     groups = [group.split(" and ") for group in data["columns"][1:]]
@@ -75,7 +75,7 @@ def training_tasks(found: Found) -> list[Block]:
     return [Table("Training tasks; ours as recorded with the runs.", ("method", *heads), rows)]
 
 
-def _tasks(found: Found, family: str, agent: str) -> str:
+def _tasks(found: RunIndex, family: str, agent: str) -> str:
     for run in found.runs(family, agent):
         tasks = run.made["tasks"]
         targets = [task["target"] for task in tasks if task["target"] is not None]

@@ -6,7 +6,20 @@ from collections.abc import Sequence
 
 from experiments.paper import ANT, EXPERIMENTS, FAMILIES, REACH, WIDE, Method, numbers
 from experiments.report.blocks import Block, Table
-from experiments.report.found import Found, Run
+from experiments.report.formatting import (
+    MISSING,
+    NAMES,
+    NO_RUN,
+    count,
+    interval,
+    label,
+    lack,
+    number,
+    printed,
+    seeds,
+    span,
+    spread,
+)
 from experiments.report.measures import (
     Count,
     failed_tasks,
@@ -21,20 +34,7 @@ from experiments.report.measures import (
     score_table,
     successes,
 )
-from experiments.report.words import (
-    MISSING,
-    NAMES,
-    NO_RUN,
-    count,
-    interval,
-    label,
-    lack,
-    number,
-    printed,
-    seeds,
-    span,
-    spread,
-)
+from experiments.report.run_index import Run, RunIndex
 from experiments.statistics import interquartile_mean, probability_of_improvement
 
 MEASURES = {"mid_task": "mid-task", "one_to_one": "1:1"}
@@ -46,13 +46,13 @@ INTERPOLATED = (
 )
 
 
-def all_returns(found: Found) -> list[Block]:
+def all_returns(found: RunIndex) -> list[Block]:
     """Table 1, a table a family."""
     methods = EXPERIMENTS["table-1"].methods
     return [_family_returns(found, family, [one for one in methods if one.family == family]) for family in FAMILIES]
 
 
-def agents(found: Found) -> list[Block]:
+def agents(found: RunIndex) -> list[Block]:
     """Ours: every agent and variant on one family."""
     methods = EXPERIMENTS["agents"].methods
     ablated = {label(method): found.of(method) for method in methods if method.agent == "ear"}
@@ -63,7 +63,7 @@ def agents(found: Found) -> list[Block]:
     ]
 
 
-def variants(id: str, found: Found) -> list[Block]:
+def variants(id: str, found: RunIndex) -> list[Block]:
     """Ours: every family as the preset has it and as a variant of it does."""
     rows = []
     for method in EXPERIMENTS[id].methods:
@@ -81,7 +81,7 @@ def variants(id: str, found: Found) -> list[Block]:
     return [Table(caption, ("family", "method", *columns), rows)]
 
 
-def reach(found: Found) -> list[Block]:
+def reach(found: RunIndex) -> list[Block]:
     """Ours: Metaworld-Reach, of which the paper has curves and no numbers."""
     methods, runs = EXPERIMENTS["reach"].methods, found.runs(REACH)
     caption = (
@@ -110,7 +110,7 @@ def _goals_reached(name: str, runs: Sequence[Run]) -> list[str]:
     return [name, f"{within} of {len(off)}", number(100 * sum(off) / len(off)), number(100 * max(off))]
 
 
-def _family_returns(found: Found, family: str, methods: list[Method]) -> Table:
+def _family_returns(found: RunIndex, family: str, methods: list[Method]) -> Table:
     steps, updates = paper_budget(family)
     caption = (
         f"{NAMES[family]}: return, mean over the training tasks. The paper: 3 seeds, for EAR-SAC {count(steps)} env "
@@ -141,7 +141,7 @@ def budget(runs: Sequence[Run]) -> list[str]:
     ]
 
 
-def interpolation_counts(found: Found) -> list[Block]:
+def interpolation_counts(found: RunIndex) -> list[Block]:
     """Table 5."""
     rows = []
     for family in FAMILIES:
@@ -158,7 +158,7 @@ def share(runs: Sequence[Run], counted: Count | None) -> str:
     return f"{counted} ({seeds(counted.seeds)})" if counted else lack(runs)
 
 
-def episode_ends(found: Found) -> list[Block]:
+def episode_ends(found: RunIndex) -> list[Block]:
     """Table 7."""
     ((which, trajectories),) = numbers()["table-7"]["panels"].items()
     paper = [printed(steps) for _, steps in trajectories]
@@ -177,7 +177,7 @@ def episode_ends(found: Found) -> list[Block]:
     return [Table(caption, ("trajectory", *map(str, range(1, len(paper) + 1))), rows)]
 
 
-def failures(found: Found) -> list[Block]:
+def failures(found: RunIndex) -> list[Block]:
     """Table 8."""
     rows = []
     for (policy, paper), variant in zip(numbers()["table-8"]["panels"][""], ("+no-noise", ""), strict=True):
@@ -186,7 +186,7 @@ def failures(found: Found) -> list[Block]:
     return [Table("Tasks of Ant-Dir with an episode that ends early.", ("policy", "paper", "ours"), rows)]
 
 
-def normalisation(found: Found) -> list[Block]:
+def normalisation(found: RunIndex) -> list[Block]:
     """Table 9."""
     rows = []
     for line, variant in zip(numbers()["table-9"]["panels"][""], ("+no-norm", ""), strict=True):

@@ -1,0 +1,122 @@
+"""Networks as pure functions of parameters, each written for one item. The only file that knows Flax's modules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax.agents.matmul import bfloat16_matmul
+from ear_jax.config import NetworkConfig
+
+Params = Any
+Initialiser = Literal["authors", "fan_in"]
+Activation = Callable[[jax.Array], jax.Array]
+
+
+@dataclass(frozen=True)
+class Network:
+    """One network: `init(key)` gives parameters, `apply(params, x)` maps one item x [in] to [out]."""
+
+    init: Callable[[jax.Array], Params]
+    apply: Callable[[Params, jax.Array], jax.Array]
+
+
+def _uniform(bound: float) -> nn.initializers.Initializer:
+    return lambda key, shape, dtype=jnp.float32: jax.random.uniform(key, shape, dtype, -bound, bound)
+
+
+def _by_fan(axis: int) -> nn.initializers.Initializer:
+    """U(±1/√fan) of a kernel [in, out]; axis 0 is its fan-in, axis 1 its fan-out."""
+    return lambda key, shape, dtype=jnp.float32: _uniform(shape[axis] ** -0.5)(key, shape, dtype)
+
+
+def _direction(key: jax.Array, shape: tuple[int, ...], dtype: Any = jnp.float32) -> jax.Array:
+    return unit_vector(jax.random.normal(key, shape, dtype))
+
+
+def _rounded(x: jax.Array, kernel: jax.Array, *_: Any, **__: Any) -> jax.Array:
+    """As `jax.lax.dot_general` is called by Dense, of which one item is [in]."""
+    return bfloat16_matmul(x, kernel)
+
+
+class _Mlp(nn.Module):
+    widths: tuple[int, ...]
+    out: int
+    config: NetworkConfig
+    layer_norm: bool
+    activation: Activation
+    gathered: bool
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        authors = self.config.initialiser == "authors"
+        kernel, last = (_by_fan(1), _uniform(3e-3)) if authors else (_by_fan(0), _by_fan(0))
+        bias, last_bias = (nn.initializers.constant(0.1), last) if authors else (nn.initializers.zeros,) * 2
+        if self.gathered:
+            last, last_bias = _uniform(0.03), _direction
+        rounded = None if self.config.matmul == "float32" else _rounded
+        for width in self.widths:
+            x = nn.Dense(width, kernel_init=kernel, bias_init=bias, dot_general=rounded)(x)
+            if self.layer_norm:
+                x = nn.LayerNorm()(x)
+            x = self.activation(x)
+        return nn.Dense(self.out, kernel_init=last, bias_init=last_bias)(x)
+
+
+def mlp(
+    size: int,
+    widths: tuple[int, ...],
+    out: int,
+    config: NetworkConfig,
+    layer_norm: bool = False,
+    activation: Activation = jax.nn.relu,
+    gathered: bool = False,
+) -> Network:
+    """Layers of the given widths, ReLU by default, from `size` inputs to `out`; without widths, one linear layer.
+
+    Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or
+    by `fan_in` (all weights U(±1/√fan_in), all biases 0), as `config.initialiser` says. `gathered`, the last layer's
+    bias is a random unit vector and its weights are U(±0.03), so that all inputs begin near one output. `config.matmul`
+    is what hidden layers multiply; the last layer always multiplies float32.
+    """
+    module = _Mlp(widths, out, config, layer_norm, activation, gathered)
+    return Network(
+        lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
+    )
+
+
+def recurrent_layer(size: int, width: int, initialiser: Initialiser) -> Network:
+    """Elman's layer hₜ = tanh(W xₜ + U hₜ₋₁ + b), h₀ = 0, along items [steps, size] to [steps, width]; U orthogonal."""
+    kernel = _by_fan(1 if initialiser == "authors" else 0)
+    module = nn.RNN(nn.SimpleCell(width, kernel_init=kernel))
+    return Network(
+        lambda key: module.init(key, jnp.zeros((1, size))), lambda params, x: jnp.asarray(module.apply(params, x))
+    )
+
+
+@struct.dataclass
+class Standardiser:
+    """Where observations lie and how far they spread; part of a policy's parameters, and not learnt by gradients."""
+
+    mean: jax.Array  # [obs]
+    scale: jax.Array  # [obs], 1 / standard deviation
+
+    def __call__(self, obs: jax.Array) -> jax.Array:
+        """An observation [obs], or many [n, obs], in standard deviations from the mean."""
+        return (obs - jax.lax.stop_gradient(self.mean)) * jax.lax.stop_gradient(self.scale)
+
+
+def identity(size: int) -> Standardiser:
+    """Leaves observations [size] as they are."""
+    return Standardiser(jnp.zeros(size), jnp.ones(size))
+
+
+def unit_vector(x: jax.Array) -> jax.Array:
+    """Projects a vector [n] onto the unit sphere; its gradient stays finite at the origin."""
+    return x * jax.lax.rsqrt(jnp.sum(x**2) + 1e-12)

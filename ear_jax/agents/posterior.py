@@ -1,0 +1,55 @@
+"""The posterior over a task's code given steps of the task, as in PEARL."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+
+@struct.dataclass
+class Context:
+    """Steps [n] of one task, in any order, from which its code is inferred."""
+
+    obs: jax.Array  # [n, obs]
+    action: jax.Array  # [n, act]
+    reward: jax.Array  # [n], scaled as for the critics
+    valid: jax.Array  # bool [n]: False for padding
+
+
+@struct.dataclass
+class Posterior:
+    """A normal distribution over a task's code, independent in each coordinate."""
+
+    mean: jax.Array  # [code]
+    variance: jax.Array  # [code]
+
+    def sample(self, noise: jax.Array) -> jax.Array:
+        """Returns the code [code] at standard normal `noise`."""
+        return self.mean + jnp.sqrt(self.variance) * noise
+
+    def kl_to_prior(self) -> jax.Array:
+        """Returns the KL divergence from the prior N(0, 1), a scalar."""
+        return 0.5 * jnp.sum(self.variance + self.mean**2 - 1 - jnp.log(self.variance))
+
+
+def prior(size: int) -> Posterior:
+    """Returns N(0, 1), the posterior before any step."""
+    return Posterior(jnp.zeros(size), jnp.ones(size))
+
+
+def product(means: jax.Array, variances: jax.Array, valid: jax.Array) -> Posterior:
+    """Multiplies the valid ones of n normal distributions [n, code]; the prior if none is valid.
+
+    As in PEARL's code (katerakelly/oyster), the prior itself is not a factor.
+    """
+    precision = jnp.where(valid[:, None], 1 / variances, 0.0)
+    total = jnp.sum(precision, axis=0)
+    some = jnp.any(valid)
+    variance = 1 / jnp.where(some, total, 1.0)
+    return Posterior(variance * jnp.sum(precision * means, axis=0), variance)
+
+
+def where(condition: jax.Array, one: Posterior, other: Posterior) -> Posterior:
+    """Selects between two posteriors; `condition` has their leading axes."""
+    return jax.tree.map(lambda a, b: jnp.where(condition[..., None], a, b), one, other)

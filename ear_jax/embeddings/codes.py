@@ -1,0 +1,51 @@
+"""New rows for the code table: between two and beyond them, and spread over the sphere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Project = Callable[[jax.Array], jax.Array]
+
+
+def blend(first: jax.Array, second: jax.Array, beta: jax.Array, project: Project) -> jax.Array:
+    """f(β Z₁ + (1 − β) Z₂) (equation 1): at β = 1 the first, at 0 the second, outside [0, 1] beyond them.
+
+    Args:
+      first, second: codes [code].
+      beta: a scalar.
+      project: f, which takes the result back to where codes live.
+    """
+    return project(beta * first + (1 - beta) * second)
+
+
+def slerp(first: jax.Array, second: jax.Array, beta: jax.Array) -> jax.Array:
+    """Along the great circle through two unit vectors [code], at constant speed in β; β = 1 is the first.
+
+    The circle is spanned by `second` and by what of `first` is perpendicular to it, so that β may lie outside [0, 1]
+    and equal codes give themselves.
+    """
+    cosine = jnp.clip(jnp.dot(first, second), -1, 1)
+    across = first - cosine * second
+    angle = beta * jnp.arctan2(jnp.linalg.norm(across), cosine)
+    direction = across / jnp.maximum(jnp.linalg.norm(across), 1e-9)
+    return jnp.cos(angle) * second + jnp.sin(angle) * direction
+
+
+def fibonacci_sphere(count: int) -> np.ndarray:
+    """`count` unit vectors [count, 3] spread evenly: turn by the golden angle while going down in equal steps."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    radius = np.sqrt(1 - height**2)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1).astype(np.float32)
+
+
+def spread_codes(count: int, size: int) -> np.ndarray:
+    """`count` unit vectors [count, size]: evenly in three dimensions, always the same ones at random in others."""
+    if size == 3:
+        return fibonacci_sphere(count)
+    directions = np.random.default_rng(0).normal(size=(count, size))
+    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)

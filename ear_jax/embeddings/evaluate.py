@@ -1,0 +1,132 @@
+"""What a policy does under given codes: whole episodes from random starts, without exploration."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ear_jax.agents.networks import Params
+from ear_jax.learning.episodes import Episodes, achieved, play
+from ear_jax.process.runtime import compiler_options
+from ear_jax.runs import training
+from ear_jax.runs.trained import Trained, for_each_seed
+from ear_jax.runs.training import Program, evaluation_keys
+
+
+def play_codes(program: Program, policy: Params, codes: jax.Array, key: jax.Array, episodes: int) -> Episodes:
+    """Plays one policy under any codes [rows, code], for their outcomes; their returns are of no task in particular."""
+    tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], len(codes)), program.tasks.params)
+    return play(program.family, program.agent, policy, codes, tasks, key, episodes)
+
+
+def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
+    """Plays every seed's policy on the training tasks.
+
+    Args:
+      trained: the run.
+      episodes: how many a task.
+      seed: of the starts, all different from those of training.
+
+    Returns:
+      What `ear evaluate --json` prints: per seed and task the return (mean, standard deviation), the mean outcome, how
+      many episodes failed (ended before the time limit), and each episode. A task fails with any of its episodes.
+    """
+    program = trained.program
+    config, count = program.config, program.config.seeds
+    keys = evaluation_keys(jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), jnp.arange(count)), 0)
+    play_all = jax.jit(
+        jax.vmap(lambda policy, key: training.evaluate(program, policy, key, episodes)),
+        compiler_options=compiler_options(),
+    )
+    played = jax.device_get(play_all(trained.policies, keys))
+    seeds = [
+        _describe_seed(program, config.seed + index, jax.tree.map(lambda leaf, index=index: leaf[index], played))
+        for index in range(count)
+    ]
+    failures = [task["failures"] for seed in seeds for task in seed["tasks"]]
+    return {
+        "run": trained.name,
+        "family": config.family,
+        "agent": config.agent,
+        "preset": config.preset,
+        "engine": program.family.engine.name,
+        "env_steps": program.env_steps(trained.collected),
+        "updates": trained.epoch * config.sac.updates,
+        "episodes": episodes,
+        "episode_length": program.family.episode_length,
+        "commanded": program.family.quantity,
+        "seeds": seeds,
+        "mean_return": float(np.mean(played.returns)),
+        "failed_tasks": {"failed": sum(count > 0 for count in failures), "total": len(failures)},
+    }
+
+
+def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) -> dict[str, Any]:
+    """What every seed's policy does under a code of its own, whatever task that may serve.
+
+    Args:
+      trained: the run.
+      codes: [seeds, code].
+      episodes: how many.
+      seed: of the starts.
+
+    Returns:
+      What `ear evaluate --lte --json` prints.
+    """
+    program, family = trained.program, trained.program.family
+
+    def of_seed(policy: Params, key: jax.Array, code: jax.Array) -> tuple[Episodes, jax.Array]:
+        played = play_codes(program, policy, program.agent.project(code)[None], key, episodes)
+        return played, achieved(family, played)
+
+    played, reached = for_each_seed(trained, of_seed, seed, codes)
+    return {
+        "run": trained.name,
+        "episodes": episodes,
+        "commanded": family.quantity,
+        "seeds": [
+            {
+                "seed": program.config.seed + index,
+                "lte": codes[index].tolist(),
+                "length": float(played.lengths[index].mean()),
+                "outcome": {
+                    **{name: float(value[index].mean()) for name, value in played.late.items()},
+                    family.commanded: float(reached[index, 0]),
+                },
+            }
+            for index in range(program.config.seeds)
+        ],
+    }
+
+
+def _describe_seed(program: Program, seed: int, played: Episodes) -> dict[str, Any]:
+    """One seed's episodes [tasks, episodes] as a document.
+
+    What a task's episodes achieved together comes from their mean outcomes, so that 359° and 1° are 0° and not 180°.
+    """
+    family = program.family
+    tasks = []
+    for row, task in enumerate(program.tasks.tasks):
+        late, whole = ({name: value[row] for name, value in means.items()} for means in (played.late, played.whole))
+        mean_late, mean_whole = ({name: value.mean() for name, value in means.items()} for means in (late, whole))
+        mean_late[family.commanded] = family.achieved(mean_late, mean_whole)
+        tasks.append(
+            {
+                "name": task.name,
+                "target": task.target,
+                "return_mean": float(played.returns[row].mean()),
+                "return_std": float(played.returns[row].std()),
+                "failures": int((played.lengths[row] < family.episode_length).sum()),
+                "outcome": {name: float(value) for name, value in mean_late.items()},
+                "episodes": {
+                    "return": played.returns[row].tolist(),
+                    "length": played.lengths[row].tolist(),
+                    **{name: value.tolist() for name, value in late.items()},
+                    family.commanded: np.asarray(family.achieved(late, whole)).tolist(),
+                },
+            }
+        )
+    return {"seed": seed, "mean_return": float(played.returns.mean()), "tasks": tasks}

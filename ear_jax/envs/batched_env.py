@@ -1,0 +1,89 @@
+"""The [task, env] batch: many environments of one family, a time limit and true random resets on top of each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+from flax import struct
+
+from ear_jax.envs.family import Family, Outcome
+from ear_jax.process.silent_imports import State
+from ear_jax.tasks import TaskParams
+
+
+@struct.dataclass
+class EnvState:
+    """One environment with its clock."""
+
+    state: State
+    steps: jax.Array  # int32, steps since the episode began
+
+
+@struct.dataclass
+class Transition:
+    """One environment step. A time limit is no termination, and `next_obs` is always the state really reached."""
+
+    obs: jax.Array  # [obs]
+    action: jax.Array  # [act]
+    next_obs: jax.Array  # [obs]
+    outcome: Outcome  # scalars by name
+    terminated: jax.Array  # bool: the robot failed, and no value follows
+    truncated: jax.Array  # bool: only the time ran out
+    valid: jax.Array  # bool: all of this is sound; otherwise nothing of this step may be learnt from
+
+
+@dataclass(frozen=True)
+class BatchedEnv:
+    """Runs a batch of environments [rows, envs]; all environments of a row share a task."""
+
+    family: Family
+
+    def start(self, key: jax.Array, tasks: TaskParams, envs: int, stagger: bool = False) -> EnvState:
+        """Random starts.
+
+        Args:
+          key: one key.
+          tasks: leaves [rows].
+          envs: environments in a row.
+          stagger: starts the clocks anywhere within an episode, so that the batch does not end all at once.
+
+        Returns:
+          Cells with leading axes [rows, envs].
+        """
+        rows = len(jax.tree.leaves(tasks)[0])
+        key_state, key_clock = jax.random.split(key)
+        keys = jax.random.split(key_state, (rows, envs))
+        state = jax.vmap(jax.vmap(self.family.start, in_axes=(0, None)))(keys, tasks)
+        steps = jnp.zeros((rows, envs), jnp.int32)
+        if stagger:
+            steps = jax.random.randint(key_clock, (rows, envs), 0, self.family.episode_length)
+        return EnvState(state, steps)
+
+    def step(self, env_states: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
+        """Steps the batch; `action` is [rows, envs, act]."""
+        return jax.vmap(jax.vmap(self._step_one))(env_states, action)
+
+    def _step_one(self, env_state: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
+        after = self.family.step(env_state.state, action)
+        steps = env_state.steps + 1
+        valid = is_finite((after.pipeline_state, after.obs, after.metrics, after.reward, action))
+        terminated = (after.done > 0) & valid
+        truncated = (steps >= self.family.episode_length) & ~terminated & valid
+        transition = Transition(env_state.state.obs, action, after.obs, after.metrics, terminated, truncated, valid)
+        key_start, key_later = jax.random.split(env_state.state.info["key"])
+        fresh = self.family.start(key_start, env_state.state.info["task"])
+        going = after.replace(info={**after.info, "key": key_later})
+        over = terminated | truncated | ~valid
+        env_state = jax.tree.map(
+            lambda new, old: jnp.where(over, new, old), EnvState(fresh, jnp.int32(0)), EnvState(going, steps)
+        )
+        return env_state, transition
+
+
+def is_finite(numbers: Any) -> jax.Array:
+    """Whether all numbers of a pytree are finite and below 1e10, past which MuJoCo too calls a state bad; a bool."""
+    return jnp.all(jnp.array([jnp.all(jnp.abs(leaf) < mujoco.mjMAXVAL) for leaf in jax.tree.leaves(numbers)]))

@@ -1,0 +1,63 @@
+"""What blends of two tasks do: outcomes along β, and which feet are down when."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from ear_jax.figures.style import COLOURS, STYLE
+from ear_jax.runs.records import folder
+
+UNITS = {"height": "m", "squared_action": "1", "velocity_x": "m/s", "velocity_y": "m/s"}
+
+
+def draw_gaits(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """A figure a seed; returns the paths."""
+    folder(figures)
+    between = "_to_".join(document["between"])
+    paths = [figures / f"compose_{between}_seed{one['seed']}.png" for one in document["seeds"]]
+    return [_draw_seed(path, one, document) for path, one in zip(paths, document["seeds"], strict=True)]
+
+
+def _draw_seed(path: Path, one: dict[str, Any], document: dict[str, Any]) -> Path:
+    quantity, blends = document["commanded"], one["blends"]
+    shown = [name for name in blends[0]["outcome"] if name != "squared_action"]
+    columns = len(shown) + bool(document["feet"])
+    with plt.rc_context(STYLE):
+        figure, grid = plt.subplots(1, columns, figsize=(3.2 * columns, 2.9), layout="constrained", squeeze=False)
+        for axes, name in zip(grid[0], shown, strict=False):
+            unit = quantity["unit"] if name == quantity["outcome"] else UNITS.get(name, "")
+            values = [blend["outcome"][name] for blend in blends]
+            axes.plot([blend["beta"] for blend in blends], values, marker="o", markersize=4, color=COLOURS[0])
+            axes.set(xlabel=_beta_label(document), ylabel=f"{name} ({unit})")
+        if document["feet"]:
+            _draw_contacts(grid[0, -1], blends, document)
+        figure.savefig(path)
+        plt.close(figure)
+    return path
+
+
+def _draw_contacts(axes: Axes, blends: list[dict[str, Any]], document: dict[str, Any]) -> None:
+    """For every β a line a foot, drawn while that foot is down."""
+    dt, feet = document["dt"], document["feet"]
+    for row, blend in enumerate(blends):
+        down = np.array(blend["pattern"], bool)
+        time = dt * np.arange(len(down))
+        for column, foot in enumerate(feet):
+            height = row + 0.25 * (column - (len(feet) - 1) / 2)
+            label = f"{foot} foot" if row == 0 else None
+            spans = [(when, dt) for when, touches in zip(time, down[:, column], strict=True) if touches]
+            axes.broken_barh(spans, (height - 0.1, 0.2), color=COLOURS[column], label=label, linewidth=0)
+    axes.set_yticks(range(len(blends)), [f"{blend['beta']:g}" for blend in blends])
+    axes.invert_yaxis()
+    axes.set(xlabel="time (s)", ylabel="β", title="feet on the ground")
+    axes.grid(visible=False)
+    axes.legend(frameon=False, ncols=len(feet), loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=7)
+
+
+def _beta_label(document: dict[str, Any]) -> str:
+    return f"β (0: {document['between'][1]}, 1: {document['between'][0]})"

@@ -1,0 +1,56 @@
+"""What blends of two tasks achieve along β, and where a target was met."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from ear_jax.figures.style import COLOURS, STYLE, legend_below, look
+from ear_jax.runs.records import folder
+
+
+def draw_blends(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """Draws what `ear interpolate` found, a figure a seed; returns the paths."""
+    folder(figures)
+    kind, draw = ("pairs", _draw_pairs) if "pairs" in document else ("blends", _draw_betas)
+    paths = []
+    for seed in sorted({row["seed"] for row in document[kind]}):
+        rows = [row for row in document[kind] if row["seed"] == seed]
+        with plt.rc_context(STYLE):
+            width = 2.5 + min(6.0, 0.8 * len(rows)) if kind == "pairs" else 4.3
+            figure, axes = plt.subplots(figsize=(width, 3.2), layout="constrained")
+            draw(axes, rows, document)
+            axes.set(ylabel=f"{document['commanded']['outcome']} ({document['commanded']['unit']})")
+            paths.append(figures / f"interpolation_seed{seed}.png")
+            figure.savefig(paths[-1])
+            plt.close(figure)
+    return paths
+
+
+def _draw_pairs(axes: Axes, pairs: list[dict[str, Any]], document: dict[str, Any]) -> None:
+    """Pairs side by side, each from its first task to its second; dots, as a direction may pass from 360° to 0."""
+    places = 1 - np.array(document["betas"])
+    names = [pair["between"][0] for pair in pairs] + [pairs[-1]["between"][1]]
+    for row, pair in enumerate(pairs):
+        dots, best, target = ("blend", "nearest to the target", "target") if row == 0 else ("", "", "")
+        axes.plot(row + places, pair["curve"], ".", color=COLOURS[0], markersize=3, label=dots)
+        axes.plot(row + 1 - pair["beta"], pair["outcome"], "*", color=COLOURS[1], markersize=9, label=best, zorder=3)
+        axes.hlines(pair["target"], row, row + 1, color="0.35", linestyle="--", label=target)
+    axes.set_xticks(range(len(names)), names, rotation=90 if len(names) > 6 else 0)
+    axes.set(xlim=(0, len(pairs)), xlabel="β from 1 to 0 between each task and the next")
+    axes.legend(frameon=False, fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+
+
+def _draw_betas(axes: Axes, blends: list[dict[str, Any]], document: dict[str, Any]) -> None:
+    """A line a pair, over the β that were asked for."""
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for blend in blends:
+        lines.setdefault(" – ".join(blend["between"]), []).append((blend["beta"], blend["outcome"]))
+    for index, (name, points) in enumerate(lines.items()):
+        axes.plot(*zip(*sorted(points), strict=True), **look(index), markersize=4, linewidth=1.4, label=name)
+    axes.set(xlabel="β (1: the first task, 0: the second)")
+    legend_below(axes, min(3, len(lines)))

@@ -1,0 +1,50 @@
+"""Raw state and latent state embedding along one gait, side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+
+from ear_jax.figures.style import COLOURS, STYLE
+from ear_jax.runs.records import folder
+
+NAMES = {"state": "raw state", "lse": "LSE"}
+
+
+def draw_signals(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """A figure a seed: both signals in their main directions, and their autocorrelations; returns the paths."""
+    folder(figures)
+    return [_draw_seed(figures / f"lse_seed{one['seed']}.png", one, document) for one in document["seeds"]]
+
+
+def _draw_seed(path: Path, one: dict[str, Any], document: dict[str, Any]) -> Path:
+    with plt.rc_context(STYLE):
+        figure, (first, second, third) = plt.subplots(1, 3, figsize=(9.5, 2.9), layout="constrained")
+        for axes, name in ((first, "state"), (second, "lse")):
+            shown = _draw_path(axes, one[name], NAMES[name], document["dt"])
+        bar = figure.colorbar(shown, ax=second, shrink=0.9)
+        bar.set_label("time (s)")
+        for index, name in enumerate(NAMES):
+            signal = one[name]
+            lags = document["dt"] * np.arange(len(signal["autocorrelation"]))
+            third.plot(lags, signal["autocorrelation"], color=COLOURS[index], label=NAMES[name], ls=("-", "--")[index])
+            if signal["period"]:
+                third.plot(signal["period"], signal["autocorrelation_peak"], "o", color=COLOURS[index], markersize=5)
+        third.set(xlabel="lag (s)", ylabel="autocorrelation", ylim=(-1.05, 1.05), title=f"task {document['task']}")
+        third.legend(frameon=False, loc="lower right")
+        figure.savefig(path)
+        plt.close(figure)
+    return path
+
+
+def _draw_path(axes: Axes, signal: dict[str, Any], name: str, dt: float) -> Any:
+    x, y = np.array(signal["path"]).T
+    axes.plot(x, y, color="0.8", linewidth=0.8, zorder=1)
+    shown = axes.scatter(x, y, c=dt * np.arange(len(x)), cmap="viridis", s=9, zorder=2)
+    share = f"{sum(signal['explained']):.0%} of the variance"
+    axes.set(xlabel="1st principal component", ylabel="2nd principal component", title=f"{name}: {share}")
+    return shown

@@ -1,0 +1,126 @@
+"""Stop-motion strips: where a robot stood from one moment to the next, with a flag where it ended."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Polygon
+
+from ear_jax.figures.style import STYLE
+
+FLAG, GROUND = "#D5000F", "#CED2CE"
+LEFT, RIGHT, BELOW = 1.1, 0.15, 0.45  # inches around the panels
+WIDEST, TALLEST = 5.8, 5.0  # inches, a panel at most
+DPI = 200
+
+
+@dataclass(frozen=True)
+class Track:
+    """One robot's poses as sticks, in metres across the panel and up."""
+
+    label: str
+    colours: np.ndarray  # [poses, 3] in [0, 1]
+    limbs: np.ndarray  # [poses, limbs, 2, 2]
+    radii: np.ndarray  # [limbs] metres
+    flag: tuple[float, float, float] | None  # where it ended, and how long the pole is; none for one that stands
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Tracks side by side on one ground, and their picture if there is one."""
+
+    tracks: Sequence[Track]
+    picture: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What every panel of a strip shows, in metres."""
+
+    left: float
+    right: float
+    low: float
+    high: float
+    ground: float  # up to where the ground is seen
+
+    @property
+    def inches(self) -> tuple[float, float]:
+        """A panel's size on paper, to scale."""
+        wide, tall = self.right - self.left, self.high - self.low
+        scale = min(WIDEST / wide, TALLEST / tall)
+        return wide * scale, tall * scale
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """The size of a picture that fills a panel."""
+        width, height = self.inches
+        return round(width * DPI), round(height * DPI)
+
+
+def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str) -> Path:
+    """Draws panels one below another, with the pictures they have and otherwise with sticks.
+
+    Args:
+      path: where to.
+      panels: tracks are named at the left of their panel, in their colours where there are several.
+      bounds: what each shows.
+      caption: what stands below the axis.
+    """
+    (width, height), gap = bounds.inches, 0.06
+    wide, tall = LEFT + width + RIGHT, BELOW + len(panels) * (height + gap)
+    scratch = path.with_name(path.name + ".part")
+    with plt.rc_context({**STYLE, "axes.grid": False, "savefig.bbox": None}):
+        figure = plt.figure(figsize=(wide, tall))
+        for row, panel in enumerate(panels):
+            bottom = tall - (row + 1) * (height + gap)
+            axes = figure.add_axes((LEFT / wide, bottom / tall, width / wide, height / tall))
+            _draw_panel(axes, panel, bounds)
+            axes.tick_params(bottom=row == len(panels) - 1, labelbottom=row == len(panels) - 1)
+        axes.set_xlabel(caption)
+        figure.savefig(scratch, format="png", dpi=DPI)
+        plt.close(figure)
+    os.replace(scratch, path)
+    return path
+
+
+def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:
+    inch = (bounds.right - bounds.left) / bounds.inches[0]  # in metres
+    axes.set(xlim=(bounds.left, bounds.right), ylim=(bounds.low, bounds.high), yticks=[])
+    axes.spines[:].set_visible(False)
+    if panel.picture is not None:
+        axes.imshow(panel.picture, extent=(bounds.left, bounds.right, bounds.low, bounds.high), aspect="auto")
+    else:
+        axes.axhspan(bounds.low, bounds.ground, color=GROUND)
+    for row, track in enumerate(panel.tracks):
+        if panel.picture is None:
+            _draw_sticks(axes, track, 72 / inch)
+        if track.flag:
+            _draw_flag(axes, *track.flag, inch)
+        colour = "black" if len(panel.tracks) == 1 else track.colours[-1]
+        place = (-0.02, 1 - (row + 0.5) / len(panel.tracks))
+        axes.text(*place, track.label, transform=axes.transAxes, color=colour, ha="right", va="center")
+
+
+def _draw_sticks(axes: Axes, track: Track, points: float) -> None:
+    """Every limb a line as thick as it is, with `points` in a metre."""
+    for limbs, colour in zip(track.limbs, track.colours, strict=True):
+        widths = 2 * points * track.radii
+        axes.add_collection(LineCollection(list(limbs), linewidths=widths, colors=[colour], capstyle="round"))
+
+
+def _draw_flag(axes: Axes, x: float, foot: float, pole: float, inch: float) -> None:
+    """A red flag planted at `foot`; lengths in metres, of which `inch` make one on paper."""
+    top = foot + pole
+    axes.plot((x, x), (foot, top), color=FLAG, linewidth=1.2)
+    cloth = [(x, top), (x + 0.16 * inch, top - 0.055 * inch), (x, top - 0.11 * inch)]
+    axes.add_patch(Polygon(cloth, color=FLAG, linewidth=0))

@@ -1,0 +1,1 @@
+"""How agents learn: replay of outcomes, the objectives, and one learner for each kind of algorithm."""

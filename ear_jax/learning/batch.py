@@ -1,0 +1,101 @@
+"""What an update learns from: which transitions are drawn, and for which task each is scored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax.config import Config
+from ear_jax.envs import Family
+from ear_jax.envs.symmetry import Symmetry, own_by_symmetry
+from ear_jax.learning import replay
+from ear_jax.learning.replay import Replay
+from ear_jax.tasks import TaskParams, task_count
+
+
+@struct.dataclass
+class Noise:
+    """Standard normal noise for one evaluation of the policy on a batch."""
+
+    action: jax.Array  # [n, act]
+    code: jax.Array  # [n, code]
+
+
+@struct.dataclass
+class Draws:
+    """Everything random about one update, drawn for all updates of an epoch at once, which is cheaper."""
+
+    source: jax.Array  # int32 [n]: the task whose ring an item comes from
+    variant: jax.Array  # int32 [n]: the symmetry applied to it; 0 changes nothing
+    place: jax.Array  # [n] in [0, 1): its place in that ring
+    now: Noise
+    next: Noise
+
+
+@struct.dataclass
+class Batch:
+    """Transitions scored for the tasks they teach."""
+
+    obs: jax.Array  # [n, obs]
+    action: jax.Array  # [n, act]
+    next_obs: jax.Array  # [n, obs]
+    reward: jax.Array  # [n]
+    terminated: jax.Array  # bool [n]
+    task: jax.Array  # int32 [n]
+
+
+@dataclass(frozen=True)
+class Batches:
+    """Draws batches in which every task has an equal share."""
+
+    family: Family
+    tasks: TaskParams  # each leaf [tasks]
+    config: Config
+    code_size: int
+
+    @property
+    def symmetry(self) -> Symmetry | None:
+        """The family's symmetry, if the settings use it."""
+        return self.family.symmetry if self.config.replay.symmetry else None
+
+    def item_tasks(self) -> jax.Array:
+        """Returns the task each item of a batch teaches, int32 [n]."""
+        count = task_count(self.tasks)
+        return jnp.repeat(jnp.arange(count), self.config.sac.batch_size // count)
+
+    def draw(self, key: jax.Array, updates: int) -> Draws:
+        """Draws the randomness of `updates` updates, each leaf [updates, n, …]."""
+        n, settings = self.config.sac.batch_size, self.config.replay
+        keys = jax.random.split(key, 7)  # keys[5] is PEARL's
+        source, variant = jnp.broadcast_to(self.item_tasks(), (updates, n)), jnp.zeros((updates, n), jnp.int32)
+        if self.symmetry:
+            source, variant = own_by_symmetry(self.symmetry, self.tasks, keys[6], source)
+        if settings.share_experience:
+            anyone = jax.random.randint(keys[0], (updates, n), 0, task_count(self.tasks))
+            source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, anyone)
+        place = jax.random.uniform(keys[2], (updates, n))
+        return Draws(source, variant, place, self._noise(keys[3], updates), self._noise(keys[4], updates))
+
+    def _noise(self, key: jax.Array, updates: int) -> Noise:
+        key_action, key_code = jax.random.split(key)
+        n = self.config.sac.batch_size
+        return Noise(
+            jax.random.normal(key_action, (updates, n, self.family.action_size)),
+            jax.random.normal(key_code, (updates, n, self.code_size)),
+        )
+
+    def take(self, buffer: Replay, draws: Draws) -> Batch:
+        """Gathers the transitions drawn and scores each for the task it teaches, whichever task it came from."""
+        task = self.item_tasks()
+        size = buffer.size[draws.source]
+        slot = jnp.minimum((draws.place * size).astype(jnp.int32), size - 1)
+        items = replay.gather(buffer, draws.source, slot)
+        if self.symmetry:
+            items = jax.vmap(partial(replay.apply_symmetry, self.symmetry))(draws.variant, items)
+        params = jax.tree.map(lambda leaf: leaf[task], self.tasks)
+        reward = self.config.sac.reward_scale * jax.vmap(self.family.reward)(items.outcome, params)
+        return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)

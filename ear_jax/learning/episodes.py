@@ -1,0 +1,74 @@
+"""Whole episodes from random starts: what they return, how long they last and what they achieve."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax.agents import Agent
+from ear_jax.agents.networks import Params
+from ear_jax.envs.batched_env import BatchedEnv, Transition
+from ear_jax.envs.family import Family, Outcome
+from ear_jax.learning.rollout import act_with, first_episode, rollout, score
+from ear_jax.tasks import TaskParams
+
+
+@struct.dataclass
+class Episodes:
+    """Episodes [rows, episodes]."""
+
+    returns: jax.Array
+    lengths: jax.Array  # int32, steps until termination or the time limit
+    late: Outcome  # outcomes averaged over the second half of the episode: of a whole one, steps 101–200
+    whole: Outcome  # and over all of it
+
+
+def play(
+    family: Family,
+    agent: Agent,
+    policy: Params,
+    codes: jax.Array,
+    tasks: TaskParams,
+    key: jax.Array,
+    episodes: int,
+    explore: bool = False,
+) -> Episodes:
+    """Plays whole episodes, each row under its own code and scored for its own task.
+
+    Args:
+      family: the environment.
+      agent, policy: who acts.
+      codes: [rows, code].
+      tasks: each leaf [rows].
+      key: seeds the starts, and the actions if they are drawn.
+      episodes: how many a row.
+      explore: draw actions from the policy instead of taking tanh of its mean.
+    """
+    rows, steps = codes.shape[0], family.episode_length
+    key_start, key_noise = jax.random.split(key)
+    env_states = BatchedEnv(family).start(key_start, tasks, episodes)
+    shape = (steps, rows, episodes, family.action_size)
+    noise = jax.random.normal(key_noise, shape) if explore else jnp.zeros(shape)
+
+    def record(transition: Transition) -> tuple[Outcome, jax.Array, jax.Array]:
+        return transition.outcome, transition.terminated, transition.valid
+
+    _, (outcome, failed, valid) = rollout(BatchedEnv(family), act_with(agent, policy, codes), env_states, noise, record)
+    playing = first_episode(failed | ~valid) & valid  # [steps, rows, episodes]
+    lengths = jnp.sum(playing, axis=0)
+    reward = score(family, outcome, tasks, axis=1)
+    late = playing & (jnp.arange(1, steps + 1)[:, None, None] > lengths // 2)
+
+    def mean_over(when: jax.Array) -> Outcome:
+        count = jnp.maximum(jnp.sum(when, axis=0), 1)
+        return jax.tree.map(lambda leaf: jnp.sum(jnp.where(when, leaf, 0.0), axis=0) / count, outcome)
+
+    returns = jnp.sum(jnp.where(playing, reward, 0.0), axis=0)
+    return Episodes(returns, lengths, mean_over(late), mean_over(playing))
+
+
+def achieved(family: Family, played: Episodes) -> jax.Array:
+    """The commanded quantity [rows], from the mean outcomes of each row's episodes, so that 359° and 1° are 0°."""
+    late, whole = (jax.tree.map(lambda leaf: leaf.mean(axis=-1), means) for means in (played.late, played.whole))
+    return family.achieved(late, whole)

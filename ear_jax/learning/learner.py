@@ -1,0 +1,44 @@
+"""The interface of a learner: what the training program asks of SAC, PEARL and MAML alike."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Protocol
+
+import jax
+
+from ear_jax.agents import Agent
+from ear_jax.config import Config
+from ear_jax.envs import Family
+from ear_jax.envs.batched_env import EnvState
+from ear_jax.tasks import TaskParams
+
+Metrics = dict[str, jax.Array]
+
+
+class Learner(Protocol):
+    """Trains one agent on all tasks of a family; states are pytrees, and every method but `check` is traced."""
+
+    def __init__(self, agent: Agent, family: Family, tasks: TaskParams, config: Config): ...
+
+    on_policy: ClassVar[bool]  # an update needs all steps of its epoch
+
+    @property
+    def agent(self) -> Agent: ...
+
+    @staticmethod
+    def check(config: Config, tasks: int) -> None:
+        """Raises UsageError for settings that cannot train `tasks` tasks."""
+
+    def init(self, key: jax.Array) -> Any:
+        """Returns everything that gradients change; `policy` is among it, and `norms` watches it."""
+
+    def memory(self, env_states: EnvState) -> Any:
+        """Returns an empty store for what environments [tasks, envs] go through."""
+
+    def collect(self, state: Any, memory: Any, env_states: EnvState, key: jax.Array) -> tuple[EnvState, Any, Metrics]:
+        """Steps every task's environments through an epoch and stores what happened."""
+        ...
+
+    def learn(self, state: Any, memory: Any, key: jax.Array) -> tuple[Any, Metrics]:
+        """Makes an epoch's updates; `finite_updates` [tasks] counts those before a task's loss was not finite."""
+        ...

@@ -1,0 +1,100 @@
+"""SAC whose codes are inferred from experience (PEARL): the critics' loss teaches the encoder that infers them.
+
+Rakelly et al. 2019, arXiv 1903.08254; constants as in the authors' code, katerakelly/oyster.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax.agents.networks import Params
+from ear_jax.agents.posterior import Context, Posterior, prior, where
+from ear_jax.learning import losses, replay
+from ear_jax.learning.batch import Batch, Draws
+from ear_jax.learning.replay import Replay
+from ear_jax.learning.rollout import score
+from ear_jax.learning.sac import CriticStep, SacLearner, SacState
+
+CONTEXT = 100  # steps from which a code is inferred
+PRIOR_SHARE = 0.4  # how often collection acts under a code drawn from the prior
+# Weight of the KL divergence from the prior. Theirs is 0.1 with rewards times 5; scaled with rewards it keeps its
+# part in the critics' loss.
+KL_WEIGHT = 0.1 / 5**2
+
+
+@struct.dataclass
+class PearlDraws(Draws):
+    """A SAC update's randomness, and that of inferring codes."""
+
+    context: jax.Array  # [tasks, steps] in [0, 1): which of a task's newest steps its code is inferred from
+    posterior: jax.Array  # [tasks, code] standard normal: which code is drawn
+
+
+@dataclass(frozen=True)
+class PearlLearner(SacLearner):
+    """Trains an agent that infers its codes; critics see a task's code in place of its one-hot."""
+
+    def observe(self, policy: Params, buffer: Replay) -> Params:
+        """Also sets the code table to the posteriors' means, so that evaluation needs no inference."""
+        policy = super().observe(policy, buffer)
+        place = jnp.broadcast_to((jnp.arange(CONTEXT) + 0.5) / CONTEXT, (self.task_count, CONTEXT))
+        return {**policy, "codes": self.posteriors(policy, buffer, place).mean}
+
+    def codes_to_act(self, policy: Params, buffer: Replay, key: jax.Array) -> jax.Array:
+        """Draws each task's code from its posterior, now and then from the prior."""
+        key_place, key_prior, key_code = jax.random.split(jax.random.fold_in(key, 1), 3)
+        shape = (self.task_count, self.agent.code_size)
+        found = self.posteriors(policy, buffer, jax.random.uniform(key_place, (self.task_count, CONTEXT)))
+        unknown = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape), prior(self.agent.code_size))
+        found = where(jax.random.uniform(key_prior, (self.task_count,)) < PRIOR_SHARE, unknown, found)
+        return found.sample(jax.random.normal(key_code, shape))
+
+    def draw(self, key: jax.Array, updates: int) -> PearlDraws:
+        draws = super().draw(key, updates)
+        key_context, key_posterior = jax.random.split(jax.random.split(key, 7)[5])
+        context = jax.random.uniform(key_context, (updates, self.task_count, CONTEXT))
+        posterior = jax.random.normal(key_posterior, (updates, self.task_count, self.agent.code_size))
+        return PearlDraws(**vars(draws), context=context, posterior=posterior)
+
+    def codes_to_learn(self, policy: Params, buffer: Replay, draws: Any) -> jax.Array:
+        return self.posteriors(policy, buffer, draws.context).sample(draws.posterior)
+
+    def codes_of_actor(self, policy: Params, table: jax.Array) -> jax.Array:
+        """Returns the codes as drawn: the actor's loss does not teach the encoder."""
+        return table
+
+    def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
+        """Returns the tasks' codes [n, code]."""
+        return table[task]
+
+    def train_critics(
+        self, state: SacState, buffer: Replay, draws: Any, batch: Batch, obs: jax.Array, target: Any
+    ) -> CriticStep:
+        """Differentiates the critics' loss and the KL divergence from the prior, through the codes as well."""
+
+        def objective(critics, policy):
+            found = self.posteriors(policy, buffer, draws.context)
+            kl = jnp.sum(jax.vmap(Posterior.kl_to_prior)(found))
+            task = self.task_input(found.sample(draws.posterior), batch.task)
+            predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
+            each = losses.critic_losses(self.critic, predicted, target)
+            loss = losses.critic_loss(each) + KL_WEIGHT * self.config.sac.reward_scale**2 * kl
+            return loss, (each, losses.q_values(self.critic, predicted))
+
+        of_both = jax.value_and_grad(objective, argnums=(0, 1), has_aux=True)
+        (loss, (each, values)), (grad, policy_grad) = of_both(state.critics, state.policy)
+        return CriticStep(grad, policy_grad, loss, each, values)
+
+    def posteriors(self, policy: Params, buffer: Replay, place: jax.Array) -> Posterior:
+        """Infers each task's code, each leaf [tasks, code], from its newest steps at `place` [tasks, steps]."""
+        assert self.agent.infer
+        collect = self.config.collect
+        items, held = replay.recent(buffer, place, collect.envs * collect.steps)
+        reward = self.config.sac.reward_scale * score(self.family, items.outcome, self.tasks)
+        contexts = Context(items.obs, items.action, reward, held)
+        return jax.vmap(self.agent.infer, in_axes=(None, 0))(policy, contexts)

@@ -1,0 +1,284 @@
+"""Multi-task SAC for any agent: an epoch's collection, its updates, and one update."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from ear_jax.agents import Agent
+from ear_jax.agents.critic import Critic, aggregate_q
+from ear_jax.agents.networks import Params
+from ear_jax.config import Config
+from ear_jax.envs import Family
+from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
+from ear_jax.errors import UsageError
+from ear_jax.learning import losses, replay
+from ear_jax.learning.batch import Batch, Batches, Draws, Noise
+from ear_jax.learning.learner import Metrics
+from ear_jax.learning.optimiser import make_optimiser
+from ear_jax.learning.replay import Experience, Replay
+from ear_jax.learning.rollout import act_with, rollout
+from ear_jax.tasks import TaskParams, task_count
+
+CRITICS = 2
+
+
+@struct.dataclass
+class SacState:
+    """Everything that gradients change."""
+
+    policy: Params
+    critics: Params  # each leaf [critics, …]
+    target_critics: Params
+    log_temperature: jax.Array  # a scalar, or [tasks] for an agent with a temperature for each task
+    policy_optimiser: Any
+    critic_optimiser: Any  # one for each critic, each leaf [critics, …]
+    temperature_optimiser: Any
+
+    @property
+    def norms(self) -> Metrics:
+        """Global norms; each is not finite as soon as one of its numbers is not."""
+        return {
+            "policy_norm": optax.global_norm(self.policy),
+            "critics_norm": optax.global_norm((self.critics, self.target_critics)),
+            "temperature_norm": optax.global_norm(self.log_temperature),
+        }
+
+
+@struct.dataclass
+class CriticStep:
+    """What training the critics on one batch gives."""
+
+    grad: Params
+    policy_grad: Params | None  # of the same loss, where it also teaches part of the policy
+    loss: jax.Array  # scalar
+    losses: jax.Array  # [critics, n]
+    values: jax.Array  # Q [critics, n]
+
+
+@dataclass(frozen=True)
+class SacLearner:
+    """Trains an agent with critics (`Learner`): the parts of an update that never change."""
+
+    agent: Agent
+    family: Family
+    tasks: TaskParams  # each leaf [tasks]
+    config: Config
+
+    on_policy: ClassVar[bool] = False
+
+    @staticmethod
+    def check(config: Config, tasks: int) -> None:
+        """Raises UsageError for a batch or a replay that does not fit the number of tasks."""
+        if config.sac.batch_size % tasks:
+            lower = max(1, config.sac.batch_size // tasks) * tasks
+            raise UsageError(
+                f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
+                f"try {lower} or {lower + tasks}"
+            )
+        epoch = config.collect.envs * config.collect.steps
+        if config.replay.capacity // tasks < epoch:
+            raise UsageError(
+                f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} "
+                f"steps; it must be at least {tasks * epoch}"
+            )
+
+    @property
+    def task_count(self) -> int:
+        return task_count(self.tasks)
+
+    @property
+    def critic(self) -> Critic:
+        assert self.agent.critic, "SAC needs an agent with critics"
+        return self.agent.critic
+
+    @property
+    def batches(self) -> Batches:
+        return Batches(self.family, self.tasks, self.config, self.agent.code_size)
+
+    @property
+    def optimiser(self) -> optax.GradientTransformation:
+        return make_optimiser(self.config.sac)
+
+    def init(self, key: jax.Array) -> SacState:
+        key_policy, key_critics = jax.random.split(key)
+        policy = self.agent.init_policy(key_policy)
+        critics = jax.vmap(self.critic.init)(jax.random.split(key_critics, CRITICS))
+        temperatures = (self.task_count,) if self.agent.own_temperatures else ()
+        log_temperature = jnp.log(jnp.full(temperatures, self.config.sac.initial_temperature))
+        return SacState(
+            policy=policy,
+            critics=critics,
+            target_critics=jax.tree.map(jnp.copy, critics),
+            log_temperature=log_temperature,
+            policy_optimiser=self.optimiser.init(policy),
+            critic_optimiser=jax.vmap(self.optimiser.init)(critics),
+            temperature_optimiser=self.optimiser.init(log_temperature),
+        )
+
+    def memory(self, env_states: EnvState) -> Replay:
+        """Returns empty rings for what such environments [tasks, envs] go through."""
+        obs = jnp.zeros(self.family.observation_size)
+        outcome = jax.tree.map(lambda leaf: leaf[0, 0], env_states.state.metrics)
+        item = Experience(obs, jnp.zeros(self.family.action_size), obs, outcome, jnp.zeros((), bool))
+        return replay.init(item, self.task_count, self.config.replay.capacity // self.task_count)
+
+    def collect(
+        self, state: SacState, buffer: Replay, env_states: EnvState, key: jax.Array
+    ) -> tuple[EnvState, Replay, Metrics]:
+        """Steps every task's environments under the task's code and adds the transitions to its ring."""
+        settings = self.config.collect
+        shape = (settings.steps, self.task_count, settings.envs, self.family.action_size)
+        act = act_with(self.agent, state.policy, self.codes_to_act(state.policy, buffer, key))
+        noise = jax.random.normal(key, shape)
+        env_states, transitions = rollout(BatchedEnv(self.family), act, env_states, noise, _whole)
+        invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
+        return env_states, replay.add(buffer, transitions), {"invalid_steps": invalid}
+
+    def codes_to_act(self, policy: Params, buffer: Replay, key: jax.Array) -> jax.Array:
+        """Returns the code table [tasks, code] under which collection acts."""
+        return self.agent.codes(policy)
+
+    def learn(self, state: SacState, buffer: Replay, key: jax.Array) -> tuple[SacState, Metrics]:
+        """Makes an epoch's updates.
+
+        Returns:
+          The state afterwards and metrics: scalars averaged over the updates, and `finite_updates` [tasks], the updates
+          before the first in which a task's loss was not finite.
+        """
+        state, metrics = jax.lax.scan(
+            lambda state, draws: self.update(state, buffer, draws),
+            replace(state, policy=self.observe(state.policy, buffer)),
+            self.draw(key, self.config.sac.updates),
+        )
+        finite = jnp.sum(jnp.cumprod(metrics.pop("finite"), axis=0), axis=0)  # from [updates, tasks]
+        return state, {**jax.tree.map(jnp.mean, metrics), "finite_updates": finite}
+
+    def observe(self, policy: Params, buffer: Replay) -> Params:
+        """Sets what of the policy comes from replay and not from gradients: the standardiser, if it is on."""
+        if not self.config.network.standardise_obs:
+            return policy
+        return {**policy, "standardiser": replay.standardiser(buffer)}
+
+    def draw(self, key: jax.Array, updates: int) -> Draws:
+        """Draws the randomness of `updates` updates, each leaf [updates, …]."""
+        return self.batches.draw(key, updates)
+
+    def update(self, state: SacState, buffer: Replay, draws: Draws) -> tuple[SacState, Metrics]:
+        """Takes one step of critics, policy and temperature, all differentiated at the state before it.
+
+        Args:
+          state: the learner's state.
+          buffer: rings that each hold at least one transition.
+          draws: the randomness of this update.
+
+        Returns:
+          The next state and metrics: scalars, and `finite` [tasks], whether each task's loss was finite.
+        """
+        (policy_grad, critic_grad, temperature_grad), metrics = self._gradients(state, buffer, draws)
+        policy, policy_optimiser = self._apply(policy_grad, state.policy_optimiser, state.policy)
+        critics, critic_optimiser = jax.vmap(self._apply)(critic_grad, state.critic_optimiser, state.critics)
+        log_temperature, temperature_optimiser = self._apply(
+            temperature_grad, state.temperature_optimiser, state.log_temperature
+        )
+        state = SacState(
+            policy=policy,
+            critics=critics,
+            target_critics=optax.incremental_update(critics, state.target_critics, self.config.sac.tau),
+            log_temperature=log_temperature,
+            policy_optimiser=policy_optimiser,
+            critic_optimiser=critic_optimiser,
+            temperature_optimiser=temperature_optimiser,
+        )
+        return state, metrics
+
+    def _gradients(
+        self, state: SacState, buffer: Replay, draws: Draws
+    ) -> tuple[tuple[Params, Params, jax.Array], Metrics]:
+        """Returns the gradients of policy, critics and log-temperature, and metrics."""
+        batch = self.batches.take(buffer, draws)
+        temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
+        table = self.codes_to_learn(state.policy, buffer, draws)
+        target = self._target(state, batch, table, draws.next)
+        obs = state.policy["standardiser"](batch.obs)  # as critics see it
+        critics = self.train_critics(state, buffer, draws, batch, obs, target)
+
+        def actor_objective(policy):
+            codes = self.codes_of_actor(policy, table)
+            action, log_prob = losses.sample_policy(policy, self.agent, codes, batch.obs, batch.task, draws.now)
+            seen = losses.predictions(state.critics, self.critic, obs, action, self.task_input(codes, batch.task))
+            value = aggregate_q(losses.q_values(self.critic, seen), self.config.sac.pessimism)
+            return losses.actor_loss(value, log_prob, temperature), log_prob
+
+        def temperature_objective(log_temperature):
+            target_entropy = -float(self.family.action_size)
+            return losses.temperature_loss(_of_items(log_temperature, batch.task), log_prob, target_entropy)
+
+        (actor_loss, log_prob), policy_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
+        if critics.policy_grad is not None:
+            policy_grad = jax.tree.map(jnp.add, policy_grad, critics.policy_grad)
+        loss = jnp.sum(critics.losses, axis=0) + log_prob  # [n], task by task
+        metrics = {
+            "finite": jnp.all(jnp.isfinite(loss).reshape(self.task_count, -1), axis=1),
+            "critic_loss": critics.loss,
+            "actor_loss": actor_loss,
+            "temperature": jnp.mean(temperature),
+            "entropy": -jnp.mean(log_prob),
+            "q_value": jnp.mean(critics.values),
+        }
+        return (policy_grad, critics.grad, jax.grad(temperature_objective)(state.log_temperature)), metrics
+
+    def train_critics(
+        self, state: SacState, buffer: Replay, draws: Draws, batch: Batch, obs: jax.Array, target: Any
+    ) -> CriticStep:
+        """Differentiates the critics' loss on a batch; `obs` [n, obs] is standardised."""
+
+        def objective(critics):
+            task = self.task_input(self.agent.codes(state.policy), batch.task)
+            found = losses.predictions(critics, self.critic, obs, batch.action, task)
+            each = losses.critic_losses(self.critic, found, target)
+            return losses.critic_loss(each), (each, losses.q_values(self.critic, found))
+
+        (loss, (each, values)), grad = jax.value_and_grad(objective, has_aux=True)(state.critics)
+        return CriticStep(grad, None, loss, each, values)
+
+    def codes_to_learn(self, policy: Params, buffer: Replay, draws: Draws) -> jax.Array:
+        """Returns the code table [tasks, code] of an update."""
+        return self.agent.codes(policy)
+
+    def codes_of_actor(self, policy: Params, table: jax.Array) -> jax.Array:
+        """Returns the code table of the actor's objective, through which its gradient reaches the LTEs."""
+        return self.agent.codes(policy)
+
+    def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
+        """Returns how critics know the tasks of a batch, [n, ·]: by their one-hots."""
+        return jax.nn.one_hot(task, self.task_count)
+
+    def _target(self, state: SacState, batch: Batch, table: jax.Array, noise: Noise) -> Any:
+        action, log_prob = losses.sample_policy(state.policy, self.agent, table, batch.next_obs, batch.task, noise)
+        next_obs = state.policy["standardiser"](batch.next_obs)
+        task = self.task_input(table, batch.task)
+        next_predictions = losses.predictions(state.target_critics, self.critic, next_obs, action, task)
+        temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
+        sac = self.config.sac
+        return losses.critic_targets(
+            self.critic, next_predictions, batch, log_prob, temperature, sac.discount, sac.pessimism
+        )
+
+    def _apply(self, grad: Params, optimiser_state: Any, params: Params) -> tuple[Params, Any]:
+        update, optimiser_state = self.optimiser.update(grad, optimiser_state, params)
+        return optax.apply_updates(params, update), optimiser_state
+
+
+def _of_items(temperature: jax.Array, task: jax.Array) -> jax.Array:
+    """Returns each item's temperature, or its logarithm: the shared scalar, or its task's [n]."""
+    return temperature[task] if temperature.ndim else temperature
+
+
+def _whole(transition: Transition) -> Transition:
+    return transition

@@ -1,0 +1,61 @@
+"""EAR-SAC: one policy conditioned on a learnt embedding of the task."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.agents import Agent
+from ear_jax.agents.critic import task_critic
+from ear_jax.agents.networks import Params, mlp, unit_vector
+from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
+from ear_jax.config import Config
+from ear_jax.methods.method import Method, Sizes
+
+
+def ear(sizes: Sizes, config: Config) -> Agent:
+    """Builds EAR-SAC (paper, section 3.1): ψ(φ(s), LTE), both embeddings on unit spheres, critics given the one-hot.
+
+    `sac.lte_noise` is the σ of the noise added to an LTE before it is normalised again (algorithm 1).
+    """
+    network = config.network
+    widths = (network.width,)
+    encoder = mlp(sizes.obs, widths * network.encoder_layers, network.lse_size, network)
+    task_widths, gathered = (network.task_width,) * network.task_layers, network.lte_start == "gathered"
+    task_encoder = mlp(sizes.tasks, task_widths, network.lte_size, network, gathered=gathered)
+    decoder = mlp(network.lse_size + network.lte_size, widths * network.decoder_layers, 2 * sizes.action, network)
+    on_lse_sphere = unit_vector if network.normalise_lse else lambda lse: lse
+    on_lte_sphere = unit_vector if network.normalise_lte else lambda lte: lte
+
+    def init_policy(key: jax.Array) -> Params:
+        key_encoder, key_task, key_decoder = jax.random.split(key, 3)
+        return {
+            "encoder": encoder.init(key_encoder),
+            "task_encoder": task_encoder.init(key_task),
+            "decoder": decoder.init(key_decoder),
+        }
+
+    def codes(policy: Params) -> jax.Array:
+        one_hots = jnp.eye(sizes.tasks)
+        return jax.vmap(lambda task: on_lte_sphere(task_encoder.apply(policy["task_encoder"], task)))(one_hots)
+
+    def embed(policy: Params, obs: jax.Array) -> jax.Array:
+        return on_lse_sphere(encoder.apply(policy["encoder"], obs))
+
+    def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
+        return gaussian(decoder.apply(policy["decoder"], jnp.concatenate([embed(policy, obs), code])))
+
+    return Agent(
+        code_size=network.lte_size,
+        init_policy=init_policy,
+        codes=codes,
+        project=on_lte_sphere,
+        distribution=distribution,
+        critic=task_critic(sizes.obs, sizes.action, sizes.tasks, network),
+        code_noise=config.sac.lte_noise,
+        on_sphere=network.normalise_lte,
+        embed=embed,
+    )
+
+
+METHOD = Method("ear", ear)

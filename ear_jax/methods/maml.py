@@ -1,0 +1,73 @@
+"""MAML: parameters from which one policy-gradient step leads to a task's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from ear_jax.agents import Agent
+from ear_jax.agents.networks import Params, mlp
+from ear_jax.agents.tanh_gaussian import LOG_STD_RANGE, Gaussian
+from ear_jax.config import Config
+from ear_jax.learning.maml import MamlLearner
+from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, Method, Sizes
+
+
+def maml(sizes: Sizes, config: Config) -> Agent:
+    """Builds the policy of MAML (Finn et al. 2017, arXiv 1703.03400): tanh layers, and a spread that is a parameter.
+
+    A task's code is the offset of its parameters from those that all tasks start with. Tuning a policy to a task is so
+    one more way to a new code, and whatever uses a policy needs to know nothing of it. There are no critics. `width`
+    and `decoder_layers` are the policy's. Matmuls stay float32: the curvature an update follows takes a forward-mode
+    derivative, which the bfloat16 product has not.
+    """
+    network = replace(config.network, matmul="float32")
+    mean = mlp(sizes.obs, (network.width,) * network.decoder_layers, sizes.action, network, activation=jnp.tanh)
+
+    def init_policy(key: jax.Array) -> Params:
+        return {"network": mean.init(key), "log_std": jnp.zeros(sizes.action)}
+
+    shapes = jax.eval_shape(init_policy, jax.random.key(0))
+    flat, rebuild = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), shapes))
+
+    def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
+        own = jax.tree.map(jnp.add, policy, rebuild(code))
+        return Gaussian(mean.apply(own["network"], obs), jnp.clip(own["log_std"], *LOG_STD_RANGE))
+
+    return Agent(
+        code_size=len(flat),
+        init_policy=init_policy,
+        codes=lambda policy: jnp.zeros((sizes.tasks, len(flat))),
+        project=lambda code: code,
+        distribution=distribution,
+        critic=None,
+        tuned=True,
+    )
+
+
+_OF_SAC = (
+    *(f"sac.{name}" for name in ("lr", "lr_decay", "discount", "pessimism", "tau", "batch_size")),
+    *(f"sac.{name}" for name in ("reward_scale", "initial_temperature", "max_grad_norm")),
+    *("network.critic_*", "network.standardise_obs", "replay.*"),
+)
+# An update needs fresh episodes of all tasks, before and after tuning: 20 of each.
+_EPISODES: dict[str, Any] = {
+    "network": {"width": 64, "decoder_layers": 2, "initialiser": "fan_in", "standardise_obs": False},
+    "sac": {"updates": 1, "lr_decay": 0},
+    "collect": {"envs": 20, "steps": 400, "pretrain_epochs": 1, "stagger": False},
+}
+METHOD = Method(
+    "maml",
+    maml,
+    MamlLearner,
+    unread=("network.matmul", *OF_EMBEDDINGS, *OF_A_TASK_ENCODER, *_OF_SAC),
+    presets={
+        "paper": {**_EPISODES, "epochs": 1000},
+        "fast": {**_EPISODES, "epochs": 300},
+        "smoke": {**_EPISODES, "epochs": 20},
+    },
+)

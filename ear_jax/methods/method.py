@@ -1,0 +1,50 @@
+"""A method, told in one place: what it builds, who trains it, what it leaves unread, its presets and its checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatch
+from typing import Any
+
+from ear_jax.agents import Agent
+from ear_jax.config import Config
+from ear_jax.learning.learner import Learner
+from ear_jax.learning.sac import SacLearner
+
+# Settings that many methods do not read, as patterns of `fnmatch`.
+OF_MAML = ("maml.*",)
+OF_EMBEDDINGS = (
+    *("sac.lte_noise", "network.normalise_*"),
+    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers")),
+)
+OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """The sizes that networks are built for."""
+
+    obs: int  # numbers in what an agent sees, all `network.history` observations together
+    action: int
+    tasks: int
+
+
+def _accept(config: Config) -> None:
+    """Accepts every configuration."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """One method of multi-task learning, found by its name in `METHODS`."""
+
+    name: str
+    build: Callable[[Sizes, Config], Agent]
+    learner: type[Learner] = SacLearner
+    unread: tuple[str, ...] = OF_MAML  # patterns of settings that neither it nor its learner reads
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # preset → what it changes there
+    check: Callable[[Config], None] = _accept  # raises UsageError for settings it cannot work with
+
+    def reads(self, setting: str) -> bool:
+        """Returns whether a setting, such as `sac.lr`, changes anything."""
+        return not any(fnmatch(setting, pattern) for pattern in self.unread)

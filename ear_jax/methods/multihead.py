@@ -1,0 +1,50 @@
+"""MHMT-SAC: one body, with a head and a temperature for each task."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.agents import Agent
+from ear_jax.agents.critic import Critic, critic_network
+from ear_jax.agents.networks import Params, mlp
+from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
+from ear_jax.config import Config
+from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_MAML, Method, Sizes
+
+
+def multihead(sizes: Sizes, config: Config) -> Agent:
+    """Builds MHMT-SAC (paper, section 4.1): a task's code is its one-hot, which picks a head of the policy.
+
+    Nothing lies between two heads, so any other code is projected to the one-hot of its largest number. The heads are
+    the last layer of one network, side by side; a head that is not picked gets no gradient. `decoder_layers` and
+    `critic_layers` are the depths without the heads.
+    """
+    network, tasks = config.network, sizes.tasks
+    actor = mlp(sizes.obs, (network.width,) * network.decoder_layers, tasks * 2 * sizes.action, network)
+    critic = critic_network(sizes.obs + sizes.action, tasks, network)
+
+    def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
+        heads = actor.apply(policy, obs).reshape(tasks, 2 * sizes.action)
+        return gaussian(jnp.sum(code[:, None] * heads, axis=0))
+
+    def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
+        return jnp.sum(task * critic.apply(params, jnp.concatenate([obs, action])))
+
+    return Agent(
+        code_size=tasks,
+        init_policy=actor.init,
+        codes=lambda policy: jnp.eye(tasks),
+        project=lambda code: jax.nn.one_hot(jnp.argmax(code), tasks),
+        distribution=distribution,
+        critic=Critic(critic.init, predict),
+        own_temperatures=True,
+    )
+
+
+METHOD = Method(
+    "multihead",
+    multihead,
+    unread=(*OF_MAML, *OF_EMBEDDINGS, *OF_A_TASK_ENCODER),
+    presets={"paper": {"network": {"decoder_layers": 3, "critic_layers": 3}, "sac": {"max_grad_norm": 1.0}}},
+)

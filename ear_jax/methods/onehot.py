@@ -1,0 +1,41 @@
+"""OHE-SAC: the task's one-hot beside the observation, with no embedding of either."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.agents import Agent
+from ear_jax.agents.critic import task_critic
+from ear_jax.agents.networks import Params, mlp, unit_vector
+from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
+from ear_jax.config import Config
+from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_MAML, Method, Sizes
+
+UNREAD = (*OF_MAML, *OF_EMBEDDINGS, *OF_A_TASK_ENCODER)
+
+
+def onehot(sizes: Sizes, config: Config) -> Agent:
+    """Builds OHE-SAC (paper, section 4.1), whose codes are one-hots.
+
+    Other codes lie on the unit sphere, where the authors' code searches them too
+    (piao-0429/ear_tmp, starter/adaptation/adapt_vel_mt.py).
+    """
+    network = config.network
+    actor = mlp(sizes.obs + sizes.tasks, (network.width,) * network.decoder_layers, 2 * sizes.action, network)
+
+    def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
+        return gaussian(actor.apply(policy, jnp.concatenate([obs, code])))
+
+    return Agent(
+        code_size=sizes.tasks,
+        init_policy=actor.init,
+        codes=lambda policy: jnp.eye(sizes.tasks),
+        project=unit_vector,
+        distribution=distribution,
+        critic=task_critic(sizes.obs, sizes.action, sizes.tasks, network),
+        on_sphere=True,
+    )
+
+
+METHOD = Method("onehot", onehot, unread=UNREAD)

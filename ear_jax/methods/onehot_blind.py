@@ -1,0 +1,39 @@
+"""OHE-SAC with its one-hot zeroed: the return that is possible without knowing the task."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.agents import Agent
+from ear_jax.agents.networks import Params
+from ear_jax.config import Config
+from ear_jax.methods.method import Method, Sizes
+from ear_jax.methods.onehot import UNREAD, onehot
+
+
+def onehot_blind(sizes: Sizes, config: Config) -> Agent:
+    """Builds OHE-SAC whose policy and critics see zeros in place of the one-hot.
+
+    The authors' older code trains this by mistake: its replay holds zeros there, so the paper's returns of OHE-SAC are
+    those of a task-blind policy.
+    """
+    seeing = onehot(sizes, config)
+    assert seeing.critic
+    critic = seeing.critic
+
+    def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
+        return critic.predict(params, obs, action, jnp.zeros_like(task))
+
+    return replace(
+        seeing,
+        codes=lambda policy: jnp.zeros((sizes.tasks, sizes.tasks)),
+        project=jnp.zeros_like,
+        critic=replace(critic, predict=predict),
+        on_sphere=False,
+    )
+
+
+METHOD = Method("onehot-blind", onehot_blind, unread=UNREAD)

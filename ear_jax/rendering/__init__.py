@@ -1,0 +1,1 @@
+"""Pictures of the robot: films, strips and the page to explore."""

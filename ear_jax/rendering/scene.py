@@ -1,0 +1,207 @@
+"""A robot on a plain stage: where its limbs are, and its picture drawn by MuJoCo off the screen."""
+
+from __future__ import annotations
+
+import copy
+import ctypes.util
+import importlib
+import math
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from ear_jax.errors import RunError, UsageError
+from ear_jax.figures.strip import Bounds
+
+SKY, FLOOR = (214, 228, 240), ((186, 190, 186), (206, 210, 206))  # RGB; the floor's squares are 2 m wide
+Way = Literal["runs", "roams", "stands"]
+LIGHT = (0.23, 0.32, -0.92)  # a unit vector: it falls from behind the camera's left shoulder
+WITHOUT_GL = "pictures of the robot need OpenGL; install libegl1 and libgl1-mesa-dri, or libosmesa6 ({})"
+
+
+@dataclass(frozen=True)
+class Limbs:
+    """A robot in some poses as a stick figure: each limb a line as thick as the capsule it stands for."""
+
+    ends: np.ndarray  # [poses, limbs, 2, 3] metres
+    radii: np.ndarray  # [limbs] metres
+
+    @property
+    def centres(self) -> np.ndarray:
+        """Where the robot stood, [poses, 3]."""
+        return self.ends.mean((1, 2))
+
+    @property
+    def length(self) -> float:
+        """How far the robot stretches along x or y, in metres, at the middle one of its poses."""
+        return float(np.median(np.ptp(self.ends[..., :2], axis=(1, 2)).max(-1)) + 2 * self.radii.max())
+
+    @property
+    def top(self) -> float:
+        """How high any pose reaches, in metres."""
+        return float(self.ends[..., 2].max() + self.radii.max())
+
+
+def limbs(model: mujoco.MjModel, qpos: np.ndarray) -> Limbs:
+    """The limbs in poses [poses, nq], each as the capsule that its bounding box would hold, which of one is itself.
+
+    Raises:
+      UsageError: a model without shapes.
+    """
+    data, robot = mujoco.MjData(model), _robot(model)
+    if not len(robot):
+        raise UsageError("there is nothing to draw: the model has no shapes that move")
+    middle, halves = np.split(model.geom_aabb[robot], 2, axis=1)  # [limbs, 3] each, along the shape's own axes
+    longest = halves.argmax(1)
+    radii = (halves.sum(1) - halves.max(1)) / 2
+    along = np.eye(3)[longest] * (halves.max(1) - radii)[:, None]
+    ends = []
+    for pose in qpos:
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        turned = data.geom_xmat[robot].reshape(-1, 1, 3, 3) @ np.stack([middle - along, middle + along], 1)[..., None]
+        ends.append(data.geom_xpos[robot][:, None] + turned[..., 0])
+    return Limbs(np.array(ends), radii)
+
+
+def way_of(model: mujoco.MjModel) -> Way:
+    """How a robot gets about: along x, where it likes on the floor, or not at all."""
+    if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+        return "roams"
+    at_root = model.body_weldid[model.body_parentid[model.jnt_bodyid]] == 0
+    return "runs" if (model.jnt_type[at_root] == mujoco.mjtJoint.mjJNT_SLIDE).any() else "stands"
+
+
+def _robot(model: mujoco.MjModel) -> np.ndarray:
+    """Which geoms are shown and move."""
+    return np.flatnonzero((model.body_weldid[model.geom_bodyid] != 0) & (model.geom_group < 3))
+
+
+def project(points: np.ndarray, elevation: float) -> np.ndarray:
+    """Points [..., 3] as seen along y and down by `elevation` radians: [..., 2], metres to the right and up."""
+    up = points[..., 1] * math.sin(elevation) + points[..., 2] * math.cos(elevation)
+    return np.stack([points[..., 0], up], axis=-1)
+
+
+def camera_at(lookat: Sequence[float], distance: float, elevation: float) -> mujoco.MjvCamera:
+    """A camera that looks along y, and down by `elevation` radians, at a point [3] `distance` metres away."""
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE.value
+    camera.lookat[:], camera.distance = lookat, distance
+    camera.azimuth, camera.elevation = 90, -math.degrees(elevation)
+    return camera
+
+
+def camera_without_perspective(bounds: Bounds, elevation: float) -> mujoco.MjvCamera:
+    """One that sees just what `project` puts within the bounds."""
+    across, up = (bounds.left + bounds.right) / 2, (bounds.low + bounds.high) / 2
+    camera = camera_at((across, up * math.sin(elevation), up * math.cos(elevation)), 20.0, elevation)
+    camera.orthographic = 1
+    return camera
+
+
+class Canvas:
+    """Draws a robot off the screen, on a plain stage. A context manager: OpenGL has to be let go of in order."""
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int):
+        """Opens OpenGL for pictures of `width` × `height` pixels; raises RunError where there is none."""
+        self._model = _on_stage(model, width, height)
+        self._data = mujoco.MjData(model)
+        self._rectangle = mujoco.MjrRect(0, 0, width, height)
+        self._scene = mujoco.MjvScene(self._model, maxgeom=10_000)
+        try:
+            self._gl = _open_gl(width, height)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        except Exception as error:  # ImportError, AttributeError, OpenGL's own: whatever of it is missing
+            raise RunError(WITHOUT_GL.format((str(error) or type(error).__name__).splitlines()[0])) from None
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+
+    def __enter__(self) -> Canvas:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._context.free()
+        self._gl.free()
+
+    def draw(
+        self, poses: np.ndarray, camera: mujoco.MjvCamera, field_of_view: float, tints: np.ndarray | None = None
+    ) -> np.ndarray:
+        """One picture [height, width, 3] of the robot in all poses [poses, nq] at once.
+
+        Args:
+          poses: where it stands.
+          camera: from where it is seen.
+          field_of_view: from top to bottom, degrees; of an orthographic camera metres.
+          tints: [poses, 4]: a colour, and how far (0 to 1) the robot takes it on.
+        """
+        model, data, scene = self._model, self._data, self._scene
+        option, pert = mujoco.MjvOption(), mujoco.MjvPerturb()
+        everything, moving = mujoco.mjtCatBit.mjCAT_ALL.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
+        model.vis.global_.fovy, model.vis.global_.orthographic = field_of_view, camera.orthographic
+        for index, pose in enumerate(poses):
+            data.qpos[:] = pose
+            mujoco.mj_forward(model, data)
+            if index == 0:
+                mujoco.mjv_updateScene(model, data, option, pert, camera, everything, scene)
+                drawn = 0
+            else:
+                mujoco.mjv_addGeoms(model, data, option, pert, moving, scene)
+            if tints is not None:
+                _tint(scene.geoms[drawn : scene.ngeom], tints[index])
+            drawn = scene.ngeom
+        for light in scene.lights[: scene.nlight]:
+            if not light.headlight:
+                light.pos[:] = camera.lookat + np.array([0, 0, 5])  # shadows fall only near a light
+        self._gl.make_current()
+        mujoco.mjr_render(self._rectangle, scene, self._context)
+        picture = np.empty((self._rectangle.height, self._rectangle.width, 3), np.uint8)
+        mujoco.mjr_readPixels(picture, None, self._rectangle, self._context)
+        return picture[::-1]
+
+
+def _tint(geoms: Sequence[Any], tint: np.ndarray) -> None:
+    for geom in geoms:
+        if geom.category == mujoco.mjtCatBit.mjCAT_DYNAMIC:
+            geom.rgba[:3] = (1 - tint[3]) * geom.rgba[:3] + tint[3] * tint[:3]
+
+
+def _open_gl(width: int, height: int) -> Any:
+    """MuJoCo's own choice where the user or the system made one, else EGL or OSMesa, which need no screen."""
+    if os.environ.get("MUJOCO_GL") or sys.platform != "linux":
+        return mujoco.GLContext(width, height)
+    found = next((name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)), None)
+    if found is None:
+        raise ImportError("neither EGL nor OSMesa is there")
+    return importlib.import_module(f"mujoco.{found.lower()}").GLContext(width, height)
+
+
+def _on_stage(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
+    """A copy with a pale sky, an endless matt floor of two greys and soft light, whatever the model's own are."""
+    model = copy.copy(model)
+    floor = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    material = [index for index in model.geom_matid[floor] if index >= 0]
+    for texture in range(model.ntex):
+        size = model.tex_height[texture] * model.tex_width[texture] * model.tex_nchannel[texture]
+        pixels = model.tex_data[model.tex_adr[texture] :][:size].reshape(-1, model.tex_nchannel[texture])
+        if model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            pixels[:, :3] = SKY
+        elif texture in model.mat_texid[material]:
+            bright = pixels[:, :3].mean(1) > pixels[:, :3].mean()
+            pixels[:, :3] = np.where(bright[:, None], FLOOR[1], FLOOR[0])
+    model.geom_rgba[floor], model.geom_size[floor, :2] = 1, 0  # a plane of no size is drawn without an end
+    model.mat_rgba[material], model.mat_texuniform[material], model.mat_texrepeat[material] = 1, 1, 0.5
+    model.mat_reflectance[:], model.mat_specular[:] = 0, 0
+    model.light_ambient[:], model.light_diffuse[:], model.light_dir[:] = 0, 0.5, LIGHT
+    visual = model.vis
+    visual.headlight.ambient[:], visual.headlight.diffuse[:] = 0.45, 0.35
+    visual.rgba.haze[:] = (*(np.array(SKY) / 255), 1)
+    visual.global_.offwidth, visual.global_.offheight = width, height
+    # Shadows fall up to 16 m from where one looks, as far as a strip goes, and are 8 mm fine.
+    visual.map.shadowclip, visual.quality.shadowsize = 16 / model.stat.extent, 4096
+    return model

@@ -1,0 +1,1 @@
+"""A training run: what is compiled, the host loop around it, and everything it leaves on the disk."""

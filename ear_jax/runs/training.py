@@ -1,0 +1,130 @@
+"""The training program: what is compiled, and nothing that touches the host."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from ear_jax.agents import Agent
+from ear_jax.agents.networks import Params
+from ear_jax.config import Config, check
+from ear_jax.envs import Family, find_task, make_family
+from ear_jax.envs.batched_env import BatchedEnv, EnvState
+from ear_jax.errors import UsageError
+from ear_jax.learning.episodes import Episodes, play
+from ear_jax.learning.learner import Learner, Metrics
+from ear_jax.methods import Sizes, find_method, make_agent
+from ear_jax.tasks import TaskSet, task_set
+
+EVALUATION_STREAM = 0x0E7A1  # keeps the keys of evaluation apart from those of training
+
+
+@struct.dataclass
+class TrainState:
+    """The whole run of one seed: stopping and resuming from it equals never stopping."""
+
+    learner: Any  # all that gradients change: SacState or MamlState
+    replay: Any  # what was collected: Replay, or Trials of one epoch where nothing older may be learnt from
+    cells: EnvState  # the environments, [tasks, envs]
+    key: jax.Array
+    epoch: jax.Array  # int32, epochs trained
+    collected: jax.Array  # int32, epochs of collection, those without updates included
+
+    @property
+    def without_replay(self) -> TrainState:
+        """All but what the replay holds, which is most of it."""
+        return replace(self, replay=None)
+
+
+@dataclass(frozen=True)
+class Program:
+    """A configuration made ready: the family on its engine, the agent, the learner."""
+
+    config: Config
+    family: Family
+    tasks: TaskSet
+    agent: Agent
+    learner: Learner
+
+    @property
+    def env_steps_per_epoch(self) -> int:
+        return len(self.tasks) * self.config.collect.envs * self.config.collect.steps
+
+    def env_steps(self, collected: int) -> int:
+        """Environment steps of one seed in so many epochs of collection."""
+        return self.env_steps_per_epoch * collected
+
+
+def make_program(config: Config) -> Program:
+    """Checks a configuration and builds what it names; nothing is compiled.
+
+    Raises:
+      UsageError: a name or value that makes no sense.
+      RunError: the engine cannot run here.
+    """
+    family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
+    family.history = config.network.history
+    tasks = task_set([find_task(family, name) for name in config.tasks]) if config.tasks else family.training_tasks()
+    check(config)
+    method = find_method(config.agent)
+    method.check(config)
+    method.learner.check(config, len(tasks))
+    if config.replay.symmetry and family.symmetry is None:
+        raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
+    sizes = Sizes(family.observation_size, family.action_size, len(tasks))
+    learner = method.learner(make_agent(sizes, config), family, tasks.params, config)
+    acting = make_agent(sizes, replace(config, network=replace(config.network, matmul="float32")))
+    return Program(config, family, tasks, acting, learner)
+
+
+def seed_keys(config: Config) -> jax.Array:
+    """The key each seed starts from, [seeds]."""
+    return jax.vmap(jax.random.key)(config.seed + jnp.arange(config.seeds))
+
+
+def evaluation_keys(keys: jax.Array, number: int) -> jax.Array:
+    """Keys for an evaluation of each seed that no training step has used; keys [seeds]."""
+    return jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, EVALUATION_STREAM), number))(keys)
+
+
+def init(program: Program, key: jax.Array) -> TrainState:
+    """A fresh run of one seed."""
+    key_learner, key_cells, key_run = jax.random.split(key, 3)
+    collect = program.config.collect
+    env_states = BatchedEnv(program.family).start(key_cells, program.tasks.params, collect.envs, collect.stagger)
+    return TrainState(
+        learner=program.learner.init(key_learner),
+        replay=program.learner.memory(env_states),
+        cells=env_states,
+        key=key_run,
+        epoch=jnp.int32(0),
+        collected=jnp.int32(0),
+    )
+
+
+def collect(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
+    """One epoch's collection of one seed.
+
+    Also what fills the replay before the first update, by the untrained policy (algorithm 1, the pre-train epochs).
+    """
+    key, later = jax.random.split(state.key)
+    env_states, collected, metrics = program.learner.collect(state.learner, state.replay, state.cells, key)
+    return replace(state, cells=env_states, replay=collected, key=later, collected=state.collected + 1), metrics
+
+
+def learn(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
+    """One epoch's updates of one seed; its metrics are the learner's, and norms at the end."""
+    key, later = jax.random.split(state.key)
+    learner, metrics = program.learner.learn(state.learner, state.replay, key)
+    return replace(state, learner=learner, key=later, epoch=state.epoch + 1), {**metrics, **learner.norms}
+
+
+def evaluate(program: Program, policy: Params, key: jax.Array, episodes: int) -> Episodes:
+    """Plays one seed's policy on the training tasks, without exploration; [tasks, episodes]."""
+    codes = program.agent.codes(policy)
+    return play(program.family, program.agent, policy, codes, program.tasks.params, key, episodes)

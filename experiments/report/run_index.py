@@ -1,0 +1,157 @@
+"""The runs that are recorded, by method; what each reached, and under what settings."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from ear_jax.config import Config, flat, from_dict
+from ear_jax.errors import RunError, UsageError
+from ear_jax.presets import VARIANTS, preset_config
+from ear_jax.runs import records
+from experiments import inventory
+from experiments.commands import command_line
+from experiments.inventory import BUDGET
+from experiments.paper import Experiment, Method
+
+Key = tuple[str, str, str]  # family, agent, preset with its variants
+
+
+@dataclass(frozen=True)
+class Run:
+    """One seed of a recorded run."""
+
+    name: str  # of its directory among the records
+    seed: int
+    made: dict[str, Any]  # its config.json
+    rows: list[dict[str, Any]]  # its metrics, a row a block
+
+    @property
+    def place(self) -> Path:
+        return inventory.RECORDS / self.name
+
+    @property
+    def last(self) -> dict[str, Any]:
+        return self.rows[-1]
+
+    @property
+    def minutes(self) -> float:
+        return self.last["seconds"] / 60
+
+    @cached_property
+    def config(self) -> Config:
+        """Its settings; those that are no more are left out, and those that came later had their defaults.
+
+        If flags made them those of a preset's variant, they are called that.
+        """
+        known = dataclasses.asdict(Config(family=""))
+
+        def keep(tree: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
+            kept = {name: value for name, value in tree.items() if name in known}
+            return {name: keep(one, known[name]) if isinstance(one, dict) else one for name, one in kept.items()}
+
+        return _named(from_dict(keep(self.made["config"], known)))
+
+    @property
+    def command(self) -> str:
+        """What trains it with today's presets, all its seeds together."""
+        return command_line(self.config)
+
+    @cached_property
+    def changes(self) -> dict[str, Any]:
+        """Settings that its preset has otherwise today, as this run had them; not what only bounds or watches a run."""
+        return _changes(self.config)
+
+    def document(self, name: str) -> dict[str, Any] | None:
+        """An analysis of the run; None where there is none.
+
+        Raises:
+          RunError: it is there and is no JSON document.
+        """
+        path = self.place / f"{name}.json"
+        if not path.is_file():
+            return None
+        return _read(path)
+
+    def of_seed(self, name: str, key: str) -> list[dict[str, Any]]:
+        """What an analysis says of this seed under a key; empty where there is none."""
+        return [one for one in (self.document(name) or {}).get(key, []) if one["seed"] == self.seed]
+
+
+class RunIndex:
+    """All recorded runs of a preset and its variants."""
+
+    def __init__(self, preset: str):
+        self.preset = preset
+        self._runs: dict[Key, dict[int, Run]] = {}
+        for run in _all_runs():
+            config = run.config
+            if config.preset.split("+")[0] != preset.split("+")[0] or _other_tasks(run):
+                continue
+            seeds = self._runs.setdefault((config.family, config.agent, config.preset), {})
+            if run.seed not in seeds or _rank(seeds[run.seed]) < _rank(run):
+                seeds[run.seed] = run
+
+    def runs(self, family: str, agent: str = "ear", variant: str = "") -> list[Run]:
+        """A method's runs in the order of their seeds; of two of one seed that of today's settings, or more updates."""
+        seeds = self._runs.get((family, agent, self.preset + variant), {})
+        return [seeds[seed] for seed in sorted(seeds)]
+
+    def of(self, method: Method) -> list[Run]:
+        return self.runs(method.family, method.agent, method.variant)
+
+    def behind(self, experiment: Experiment) -> list[Run]:
+        """Every run that an experiment can use."""
+        return [run for method in experiment.methods for run in self.of(method)]
+
+    def all(self) -> list[Run]:
+        return [run for key in sorted(self._runs) for _, run in sorted(self._runs[key].items())]
+
+
+def _all_runs() -> list[Run]:
+    """Each seed of each record that has settings and at least one row."""
+    found = []
+    for path in sorted(inventory.RECORDS.glob("*/config.json")):
+        made, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
+        for seed in sorted({row["seed"] for row in rows}):
+            found.append(Run(path.parent.name, seed, made, [row for row in rows if row["seed"] == seed]))
+    return found
+
+
+def _changes(config: Config) -> dict[str, Any]:
+    today = flat(preset_config(config.family, config.preset, config.agent))
+    return {
+        name: value for name, value in flat(config).items() if name.split(".")[0] not in BUDGET and value != today[name]
+    }
+
+
+def _named(config: Config) -> Config:
+    """The same settings under the name that today's presets have for them, where it is a variant's."""
+    for variant in VARIANTS if _changes(config) else ():
+        with contextlib.suppress(UsageError):  # an agent that has no use for it
+            named = dataclasses.replace(config, preset=f"{config.preset}+{variant}")
+            if not _changes(named):
+                return named
+    return config
+
+
+def _rank(run: Run) -> tuple[bool, int]:
+    """By which of two runs of one seed is taken: today's settings count first, then updates."""
+    return not run.changes, run.last["updates"]
+
+
+def _other_tasks(run: Run) -> bool:
+    """Whether a run was scored otherwise than its preset's: other tasks, or another reward."""
+    return any(name == "tasks" or name.startswith("env.") for name in run.changes)
+
+
+def _read(path: Any) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise RunError(f"{path} cannot be read: {error}") from None

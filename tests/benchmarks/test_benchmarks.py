@@ -1,0 +1,33 @@
+"""What benchmarks conclude from rows, on rows with known answers, and that they run. Their timings are no tests."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.time_to_return import passed
+from ear_jax.runs import records
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_a_mark_is_passed_by_three_evaluations_in_a_row():
+    rows = [{"mean_return": value, "updates": index} for index, value in enumerate((0, 9, 0, 4, 6, 5, 1))]
+    assert passed(rows, 5)["updates"] == 5, "of 4, 6 and 5 the mean is 5; the lucky 9 counts for nothing alone"
+    assert passed(rows, 3)["updates"] == 2, "0, 9 and 0"
+    assert passed(rows, 5.1) is None
+    assert passed(rows[:2], 0) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["physics", "update", "matmul", "chunk", "startup", "adaptation", "saving"])
+def test_a_benchmark_runs_in_small(name, tmp_path):
+    words = [sys.executable, "-m", f"benchmarks.{name}", "--quick", "--results", str(tmp_path)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=900)
+    assert done.returncode == 0, done.stderr
+    rows = records.read_rows(tmp_path / f"{name}.jsonl")
+    assert rows
+    assert all(row["quick"] and "unavailable" not in row for row in rows)

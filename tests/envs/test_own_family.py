@@ -1,0 +1,288 @@
+"""A family of a user's own: the document's example exactly as printed, and the faults that are refused in one line."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from ear_jax.cli.main import main
+from ear_jax.envs import FAMILIES, Family, find_family, make_family
+from ear_jax.errors import UsageError
+from ear_jax.runs import loop, records
+from ear_jax.runs.loop import train_run
+from ear_jax.tasks import Task, TaskSet, task_set
+from tests.helpers.probe import Bandit
+from tests.helpers.runs import tiny_config
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "your-own-family.md"
+
+
+@pytest.fixture
+def family_file(tmp_path: Path) -> Path:
+    """The document's only Python block."""
+    blocks = re.findall(r"^```python\n(.*?)^```$", DOCUMENT.read_text(), re.MULTILINE | re.DOTALL)
+    assert len(blocks) == 1
+    file = tmp_path / "my_family.py"
+    file.write_text(blocks[0])
+    return file
+
+
+def test_the_documents_family_is_what_it_says(family_file):
+    family = make_family(f"{family_file}:BalanceAt", "native")
+    assert (family.name, family.observation_size, family.action_size) == ("balance-at", 4, 1)
+    assert family.training_tasks().targets == [-0.6, -0.3, 0.0, 0.3, 0.6]
+    assert family.parse_task("at-0.25").params == {"position": 0.25}
+    with pytest.raises(UsageError, match="name a place in metres"):
+        family.parse_task("left")
+    state = jax.jit(family.reset)(jax.random.key(0))
+    after = jax.jit(family.step)(state, jnp.array([0.5]))
+    position = float(after.pipeline_state.qpos[0])
+    assert float(after.reward) == pytest.approx(1 - abs(position + 0.6) - 0.01 * 0.25, abs=1e-6)
+    leaning = state.pipeline_state.replace(qpos=jnp.array([0.0, 0.21]))
+    assert (bool(family.terminated(leaning)), bool(family.terminated(state.pipeline_state))) == (True, False)
+
+
+def test_the_documents_family_trains_and_writes_metrics(family_file, run_directory):
+    tiny = tiny_config(family=f"{family_file}:BalanceAt", tasks=("-0.3", "at-0.3"), epochs=2)
+    train_run(tiny, run_directory)
+    rows = records.read_rows(run_directory / "metrics.jsonl")
+    assert [(row["epoch"], row["invalid_steps"]) for row in rows] == [(2, 0)]
+    assert set(rows[0]["returns"]) == {"at--0.3", "at-0.3"}
+    assert all(0 < value < 200 for value in rows[0]["returns"].values())
+
+
+def test_the_documents_command_is_right(family_file, monkeypatch):
+    """As a shell would run it, up to the configuration that reaches the trainer."""
+    words = re.search(r"^ear (train \S+:\S+ .*)$", DOCUMENT.read_text(), re.MULTILINE)[1].split()
+    asked = []
+    monkeypatch.setattr("ear_jax.cli.train.train_run", lambda config, directory: asked.append(config))
+    monkeypatch.chdir(family_file.parent)
+    assert main(words) == 0
+    assert (asked[0].family, asked[0].preset) == ("my_family.py:BalanceAt", "smoke")
+    assert len(loop.train.make_program(asked[0]).tasks) == 5
+
+
+def test_the_documents_family_can_be_checked_alone(family_file, monkeypatch, capsys):
+    words = re.search(r"`ear (families \S+)`", DOCUMENT.read_text())[1].split()
+    monkeypatch.chdir(family_file.parent)
+    assert main([*words, "--json"]) == 0
+    (described,) = json.loads(capsys.readouterr().out)["families"]
+    assert described["name"] == "my_family.py:BalanceAt"
+    assert described["tasks"] == ["at--0.6", "at--0.3", "at-0", "at-0.3", "at-0.6"]
+    assert (described["observation_size"], described["action_size"], described["dt"]) == (4, 1, 0.04)
+    assert not Path("runs").exists()
+
+
+def test_an_installed_package_offers_families_by_entry_point(monkeypatch, capsys):
+    point = EntryPoint("bandit", "tests.helpers.probe:Bandit", "ear_jax.families")
+    monkeypatch.setattr("ear_jax.envs.registry.entry_points", lambda group: [point] * (group == "ear_jax.families"))
+    assert make_family("bandit", "native").name == "bandit"
+    with pytest.raises(UsageError, match="did you mean 'bandit'"):
+        make_family("bandti", "native")
+    assert main(["families", "--json"]) == 0
+    assert [family["name"] for family in json.loads(capsys.readouterr().out)["families"]] == [*FAMILIES, "bandit"]
+
+
+def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
+    point = EntryPoint("broken", "nosuchpackage:Mine", "ear_jax.families")
+    monkeypatch.setattr("ear_jax.envs.registry.entry_points", lambda group: [point])
+    assert main(["families"]) == 0
+    assert "broken is not to be had here: family 'broken' cannot be loaded" in capsys.readouterr().out
+    assert main(["families", "broken"]) == 2
+    line = "ear: family 'broken' cannot be loaded from nosuchpackage:Mine: ModuleNotFoundError: No module named"
+    assert capsys.readouterr().err.startswith(line)
+    point = EntryPoint("broken", "tests.helpers.probe:SLIDER", "ear_jax.families")
+    with pytest.raises(UsageError, match=r"^broken is no family: it must be a class"):
+        find_family("broken")
+    assert find_family("ant-dir") is FAMILIES["ant-dir"], "another's fault is not ours"
+
+
+METHODS = "training_tasks = parse_task = initial = observe = outcome = reward = print"
+
+
+@pytest.mark.parametrize(
+    ("word", "text", "complaint"),
+    [
+        ("nowhere.py:Mine", None, r"no file nowhere\.py; .* path/to/file\.py:ClassName"),
+        ("mine.txt:Mine", "", r"mine\.txt is no Python file"),
+        ("mine.py:Mine", "x = 1", r"unknown family 'Mine' \(there are: none\)"),
+        ("mine.py:Mien", "from probe import Bandit as Mine", r"did you mean 'Mine'"),
+        ("mine.py:Mine", "1 / 0", r"mine\.py cannot be run: ZeroDivisionError: division by zero \(mine\.py, line 1"),
+        ("mine.py:Mine", "class Mine(:", r"mine\.py cannot be run: SyntaxError"),
+        ("mine.py:Mine", "import nosuchpackage", r"cannot be run: ModuleNotFoundError: .*nosuchpackage"),
+        ("mine.py:Mine", "import sys; sys.exit(3)", r"mine\.py cannot be run: SystemExit: 3"),
+        ("mine.py:Mine", "Mine = 1", r"mine\.py:Mine is no family: .* derived from ear_jax\.envs\.Family"),
+        (
+            "mine.py:Mine",
+            "class Mine(Family): reward = observe = print",
+            r"define initial\(\), outcome\(\), parse_task",
+        ),
+        ("mine.py:Mine", f"class Mine(Family): {METHODS}", r"mine\.py:Mine does not define name; it must be a text"),
+        ("mine.py:Mine", f"class Mine(Family): name = 'm'; {METHODS}", "does not define substeps; it must be a whole"),
+        ("mine.py:Mine", "class Mine(Bandit): name = ''", r"mine\.py:Mine: name must be a text, and is ''"),
+        ("mine.py:Mine", "class Mine(Bandit): substeps = 0.5", r"substeps must be a whole number of .*, and is 0\.5"),
+        ("mine.py:Mine", "class Mine(Bandit): mjx_solver = 4", r"mjx_solver must be two whole numbers .*, and is 4"),
+        ("mine.py:Mine", "class Mine(Bandit): bodies = 'foot'", r"bodies must be a tuple of names, and is 'foot'"),
+        ("mine.py:Mine", "class Mine(Bandit): load = Family.load", "does not define model_file; it must be one of Gym"),
+        (
+            "mine.py:Mine",
+            "class Mine(Bandit):\n  def load(self):\n    return open('robot.xml')",
+            r"^mine\.py:Mine: it cannot be made: FileNotFoundError: .*robot\.xml' \(mine\.py, line 4, in load\)$",
+        ),
+    ],
+)
+def test_a_file_that_holds_no_family(word, text, complaint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    if text is not None:
+        imports = "from ear_jax.envs import Family; from probe import Bandit\n"
+        Path(word.partition(":")[0]).write_text(imports * text.startswith("class Mine(") + text)
+    with pytest.raises(UsageError, match=complaint):
+        make_family(word, "native")
+    assert main(["train", word]) == 2
+    streams = capsys.readouterr()
+    assert (streams.out, streams.err.count("\n")) == ("", 1)
+    assert not Path("runs").exists()
+
+
+def tasks_of(*params: dict[str, object]):
+    """A method that returns tasks of these parameters."""
+    return lambda *_: task_set([Task(f"task-{index}", 0.0, each) for index, each in enumerate(params)])
+
+
+def start_of(**fields: object):
+    return lambda self, key: Bandit.initial(self, key).replace(**fields)
+
+
+def never(*_):
+    raise ValueError("never\nagain")
+
+
+# What each family does otherwise than the bandit, and what is said of it.
+BROKEN = [
+    ({"load": never}, r"it cannot be made: ValueError: never \(test_own_family\.py, line \d+, in never\)$"),
+    ({"load": lambda self: None}, r"load\(\) must return a mujoco\.MjModel, and returns NoneType"),
+    ({"load": Family.load, "model_file": "hoper.xml"}, r"unknown model 'hoper\.xml'; did you mean 'hopper\.xml'"),
+    ({"bodies": ("foot",)}, r"unknown body 'foot'.* \(there are: .*world\)"),
+    ({"training_tasks": never}, r"training_tasks\(\) fails: ValueError: never"),
+    ({"training_tasks": lambda self: []}, r"training_tasks\(\) must return a task_set\(…\), and returns .* list"),
+    ({"training_tasks": lambda self: TaskSet(())}, r"a task set needs at least one task"),
+    ({"training_tasks": lambda self: task_set([1.0])}, r"training_tasks\(\) fails: AttributeError"),
+    (
+        {"training_tasks": tasks_of({"action": 1.0}, {"speed": 1.0})},
+        r"training_tasks\(\): tasks 'task-0' and 'task-1' have different",
+    ),
+    ({"training_tasks": tasks_of({"action": 1.0}, {})}, r"training_tasks\(\): the params of task 'task-1' must be"),
+    (
+        {"training_tasks": tasks_of({"action": jnp.inf})},
+        r"training_tasks\(\): the params .* must be finite numbers by name",
+    ),
+    (
+        {"training_tasks": tasks_of({"action": [1.0, 2.0]}, {"action": [1.0]})},
+        r"training_tasks\(\): the params of task",
+    ),
+    (
+        {"training_tasks": lambda self: task_set([Task("", 0.0, {"action": 0.0})])},
+        r"training_tasks\(\): a task needs a name",
+    ),
+    (
+        {"training_tasks": lambda self: task_set([Task("a", jnp.nan, {"action": 0.0})])},
+        r"training_tasks\(\): a task needs .* finite",
+    ),
+    ({"adaptation_tasks": never}, r"adaptation_tasks\(\) fails: ValueError: never"),
+    ({"adaptation_tasks": tasks_of({"speed": 1.0})}, r"adaptation_tasks\(\): tasks '-0\.5' and 'task-0' have"),
+    ({"initial": lambda self, key: jnp.zeros(1)}, r"initial\(\) must return a Physics, and returns .* ArrayImpl"),
+    ({"initial": start_of(qvel=jnp.zeros(2))}, r"initial\(\)\.qvel must be of shape \(1,\), and has shape \(2,\)"),
+    ({"initial": start_of(qpos=jnp.zeros(1, int))}, r"initial\(\)\.qpos must be float32, and is int32"),
+    ({"initial": start_of(warmstart=None)}, r"initial\(\)\.warmstart must be of shape \(1,\), and is None"),
+    ({"initial": lambda self, key: sys.exit()}, r"initial\(\) fails: SystemExit"),
+    ({"observe": lambda self, physics: jnp.ones((1, 1))}, r"observe\(\) must be a vector, and has shape \(1, 1\)"),
+    ({"observe": lambda self, physics: physics.qpos / 0 - jnp.inf}, r"observe\(\)\[0\] is nan at a fresh start"),
+    ({"observe": lambda self, physics: np.tanh(physics.qpos)}, r"observe\(\) fails: JAX traces it.* use jnp\.where"),
+    ({"terminated": lambda self, physics: physics.qpos > 0}, r"terminated\(\) must be a scalar, and has shape \(1,\)"),
+    ({"terminated": lambda self, physics: physics.qpos[0]}, r"terminated\(\) must be bool, and is float32"),
+    (
+        {"terminated": lambda self, physics: physics.qpos[0] > 0 and physics.qpos[0] < 1},
+        r"terminated\(\) fails: JAX traces it.* jnp\.where for `if`.* \(test_own_family\.py, line \d+, in <lambda>\)$",
+    ),
+    (
+        {"actuate": lambda self, physics, action: action},
+        r"actuate\(\) must return a Physics and a control, and returns",
+    ),
+    (
+        {"actuate": lambda self, physics, action: (physics, action[:0])},
+        r"the control that actuate\(\) returns must be of shape \(1,\), and has shape \(0,\)",
+    ),
+    ({"outcome": lambda self, motion: motion.action[0]}, r"outcome\(\) must be a dictionary of named scalars"),
+    ({"outcome": lambda self, motion: {"action": motion.action}}, r"outcome\(\)\['action'\] must be a scalar, and has"),
+    (
+        {"outcome": lambda self, motion: {"action": {}}},
+        r"outcome\(\)\['action'\] must be a scalar, and is of type dict",
+    ),
+    ({"outcome": lambda self, motion: {"action": jnp.log(-1.0)}}, r"outcome\(\)\['action'\] is nan at a fresh start"),
+    ({"outcome": lambda self, motion: {"return": motion.action[0]}}, r"outcome\(\) must not hold 'return'"),
+    ({"commanded": "acton"}, r"commanded: unknown outcome 'acton'; did you mean 'action'"),
+    ({"reward": lambda self, outcome, task: outcome["speed"]}, r"reward\(\) fails: KeyError: 'speed'"),
+    ({"reward": lambda self, outcome: 0.0}, r"reward\(\) fails: TypeError: .* positional argument"),
+    ({"reward": lambda self, outcome, task: float(task["action"])}, r"reward\(\) fails: JAX traces it.* float\(\)"),
+    (
+        {"reward": lambda self, outcome, task: jnp.ones(2)},
+        r"reward\(\) of task '-0\.5' must be a scalar, and has shape",
+    ),
+    ({"reward": lambda self, outcome, task: jnp.sqrt(-task["action"])}, r"reward\(\) of task '0\.5' is nan at a fresh"),
+    ({"achieved": lambda self, late, whole: late}, r"achieved\(\) must be a scalar, and is of type dict"),
+]
+
+
+@pytest.mark.parametrize(("parts", "complaint"), BROKEN, ids=["-".join(parts) for parts, _ in BROKEN])
+def test_a_broken_family_is_refused_in_one_line(parts, complaint, monkeypatch):
+    monkeypatch.setitem(FAMILIES, "broken", type("Broken", (Bandit,), {"__module__": __name__, **parts}))
+    with pytest.raises(UsageError, match="^broken: " + complaint) as raised:
+        make_family("broken", "native")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_broken_family_is_refused_before_anything_is_compiled(monkeypatch, run_directory):
+    monkeypatch.setitem(FAMILIES, "bandit", type("Broken", (Bandit,), {"reward": never}))
+    monkeypatch.setattr(loop, "compile_program", lambda *_: pytest.fail("it came to compiling"))
+    with pytest.raises(UsageError, match=r"^bandit: reward\(\) fails"):
+        train_run(tiny_config(family="bandit", tasks=()), run_directory)
+    assert not run_directory.exists()
+
+
+@pytest.mark.parametrize(
+    ("parse_task", "complaint"),
+    [
+        (
+            lambda self, text: float(text),
+            r"^bandit: parse_task\('left'\) fails: ValueError: could not convert .*'left'",
+        ),
+        (lambda self, text: 1.0, r"^bandit: parse_task\('left'\): a task must be a Task, and is of type float"),
+        (
+            lambda self, text: Task(text, 1.0, {"speed": 1.0}),
+            r"tasks 'task-0' and 'left' have different numbers",
+        ),
+    ],
+)
+def test_a_word_that_becomes_no_task(parse_task, complaint, monkeypatch, run_directory):
+    parts = {"parse_task": parse_task, "training_tasks": tasks_of({"action": 0.5})}
+    monkeypatch.setitem(FAMILIES, "bandit", type("Broken", (Bandit,), parts))
+    with pytest.raises(UsageError, match=complaint):
+        train_run(tiny_config(family="bandit", tasks=("left",)), run_directory)
+    assert not run_directory.exists()
+
+
+def test_constants_will_do(monkeypatch):
+    """A Python bool and a Python float are a scalar as any other where they do not depend on the state."""
+    parts = {"terminated": lambda self, physics: False, "reward": lambda self, outcome, task: 1.0}
+    monkeypatch.setitem(FAMILIES, "bandit", type("Constant", (Bandit,), parts))
+    family = make_family("bandit", "native")
+    after = jax.jit(family.step)(family.reset(jax.random.key(0)), jnp.zeros(1))
+    assert (float(after.done), float(after.reward)) == (0.0, 1.0)

@@ -1,0 +1,202 @@
+"""`python -m experiments publish`: what a card says is what the record says, and what cannot ship is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from ear_jax import pretrained
+from ear_jax.envs import make_family
+from ear_jax.presets import preset_config
+from ear_jax.runs import records
+from ear_jax.runs.export import read_policy, write_policy
+from ear_jax.runs.trained import load
+from experiments import publish
+from experiments.__main__ import main
+from experiments.card import CURVE_POINTS, judge, limits, thinned
+from experiments.commands import command_line
+from experiments.inventory import RECORDS
+
+POLICY, METRICS, EVALUATION = "policy.safetensors", "metrics.jsonl", "evaluation.json"
+
+
+@pytest.fixture
+def record(tmp_path) -> Path:
+    return Path(shutil.copytree(RECORDS / "hopper-vel-ear-fast-seed0", tmp_path / "record"))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """Where agents go, empty."""
+    monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "agents")
+    pretrained.FOLDER.mkdir()
+    return pretrained.FOLDER
+
+
+def test_a_record_becomes_an_agent_that_loads(record, folder, capsys):
+    assert main(["publish", str(record)]) == 0
+    printed = capsys.readouterr().out
+    assert re.match(r"pretrained:hopper-vel: [\d,]+ bytes, mean return [\d.]+\nMeets \d+ of 10 tasks", printed)
+    assert (folder / "hopper-vel.safetensors").read_bytes() == (record / POLICY).read_bytes()
+    card, last = pretrained.card("hopper-vel"), records.read_rows(record / METRICS)[-1]
+    assert (card["env_steps"], card["updates"]) == (last["env_steps"], last["updates"])
+    assert card["minutes"] == round(last["seconds"] / 60, 1)
+    evaluation = json.loads((record / EVALUATION).read_text())
+    assert card["mean_return"] == evaluation["mean_return"]
+    assert (card["returns_from"], card["episodes"]) == ("evaluation.json", evaluation["episodes"])
+    assert card["learning_curve"][-1]["mean_return"] == round(last["mean_return"], 2)
+    assert load(Path("pretrained:hopper-vel")).epoch == last["epoch"]
+
+
+def test_without_an_evaluation_returns_are_the_last_rows_and_limits_unknown(record, folder):
+    (record / EVALUATION).unlink()
+    assert main(["publish", str(record), "--name", "another"]) == 0
+    card, last = pretrained.card("another"), records.read_rows(record / METRICS)[-1]
+    assert {task["name"]: task["return"] for task in card["tasks"]} == last["returns"]
+    assert (card["mean_return"], card["returns_from"]) == (last["mean_return"], "metrics.jsonl, last row")
+    assert card["limits"] == "It has not been evaluated: which tasks it meets is not known."
+
+
+def of_two_seeds(record: Path) -> None:
+    """The second seed's policy is the first's turned about, and its returns are less by one."""
+    about, arrays = read_policy(record / POLICY)
+    about["config"]["seeds"] = 2
+    twice = jax.tree.map(lambda leaf: np.concatenate([leaf, -leaf]), load(record / POLICY).policies)
+    write_policy(record / POLICY, twice, np.concatenate([arrays["codes"]] * 2), about, "")
+    rows = records.read_rows(record / METRICS)
+    lower = [{**row, "seed": 1, "mean_return": row["mean_return"] - 1} for row in rows]
+    both = [row for pair in zip(rows, lower, strict=True) for row in pair]
+    (record / METRICS).write_text("".join(f"{json.dumps(row)}\n" for row in both))
+    evaluation = json.loads((record / EVALUATION).read_text())
+    first = evaluation["seeds"][0]
+    evaluation["seeds"].append({**first, "seed": 1, "mean_return": first["mean_return"] - 1})
+    records.write_json(record / EVALUATION, evaluation)
+
+
+def test_of_several_seeds_one_ships(record, folder, capsys):
+    first = load(record / POLICY)
+    of_two_seeds(record)
+    assert main(["publish", str(record), "--policy", "1"]) == 0
+    card, shipped = pretrained.card("hopper-vel"), load(Path("pretrained:hopper-vel"))
+    for one, two in zip(jax.tree.leaves(shipped.policies), jax.tree.leaves(first.policies), strict=True):
+        np.testing.assert_array_equal(one, -two)
+    assert (card["seed"], card["side_by_side"], card["command"]) == (1, 2, "ear train hopper-vel --seeds 2")
+    evaluated = json.loads((record / EVALUATION).read_text())["seeds"][1]["mean_return"]
+    last = records.read_rows(record / METRICS)[-1]
+    assert (card["mean_return"], last["seed"]) == (evaluated, 1)
+    assert card["learning_curve"][-1]["mean_return"] == round(last["mean_return"], 2)
+    assert main(["publish", str(record), "--policy", "2"]) == 2
+    assert "--policy 2 is none of the run's: it has 2, and the first is 0" in capsys.readouterr().err
+
+
+def of_another_seed(record: Path) -> None:
+    document = json.loads((record / EVALUATION).read_text())
+    document["seeds"][0]["seed"] = 7
+    records.write_json(record / EVALUATION, document)
+
+
+def evaluated_before(record: Path) -> None:
+    document = json.loads((record / EVALUATION).read_text())
+    records.write_json(record / EVALUATION, {**document, "updates": 2})
+
+
+def measured_before(record: Path) -> None:
+    records.keep_rows(record / METRICS, load(record / POLICY).epoch - 1)
+
+
+@pytest.mark.parametrize(
+    ("harm", "code", "complaint"),
+    [
+        (shutil.rmtree, 2, "there is no such directory"),
+        (lambda record: (record / POLICY).unlink(), 1, "has no policy.safetensors, which `ear export` writes"),
+        (lambda record: (record / METRICS).unlink(), 1, "has no metrics.jsonl, which `ear train` writes"),
+        (measured_before, 1, "and metrics.jsonl beside it has no row of that"),
+        (evaluated_before, 1, "is of 2 updates, and the policy of "),
+        (lambda record: (record / EVALUATION).write_text("{"), 1, "evaluation.json cannot be read"),
+        (lambda record: (record / POLICY).write_bytes(b"x"), 1, "is no whole safetensors file"),
+        (of_another_seed, 1, "evaluation.json is not of seed 0; evaluate it anew"),
+        (of_two_seeds, 2, "holds 2 seeds; an agent that ships has one: name it by --policy"),
+    ],
+)
+def test_what_cannot_ship_is_refused_in_one_line(harm, code, complaint, record, folder, capsys):
+    harm(record)
+    assert main(["publish", str(record)]) == code
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert (error[:13], error.count("\n")) == ("experiments: ", 1)
+    assert list(folder.iterdir()) == []
+
+
+def test_sizes_are_limited(record, folder, monkeypatch, capsys):
+    size = (record / POLICY).stat().st_size
+    monkeypatch.setattr(publish, "FILE_BYTES", size - 1)
+    assert main(["publish", str(record)]) == 1
+    assert f"has {size:,} bytes; an agent that ships has at most {size - 1:,}" in capsys.readouterr().err
+    monkeypatch.setattr(publish, "FILE_BYTES", size)
+    monkeypatch.setattr(publish, "ALL_BYTES", 2 * size - 1)
+    for _ in range(2):  # the second in place of the first
+        assert main(["publish", str(record), "--name", "one"]) == 0
+    assert main(["publish", str(record), "--name", "two"]) == 1
+    assert (
+        f"the agents would have {2 * size:,} bytes; all together have at most {2 * size - 1:,}"
+        in capsys.readouterr().err
+    )
+
+
+def test_a_name_is_a_plain_word(record, folder, capsys):
+    assert main(["publish", str(record), "--name", "../away"]) == 2
+    assert "cannot name an agent" in capsys.readouterr().err
+
+
+def test_a_task_is_met_within_half_way_to_the_next_one():
+    def met(family: str, target: float | None, achieved: float, failures: int = 0) -> bool:
+        measured = make_family(family)
+        numbers = {"target": target, "return_mean": 1.0, "failures": failures, "name": "x"}
+        others = [{"target": other} for other in (0.0, 2.0, 358.0, None)]
+        return judge(measured, {**numbers, "outcome": {measured.commanded: achieved}}, others)["met"]
+
+    assert met("hopper-vel", 2.0, 2.9)
+    assert not met("hopper-vel", 2.0, 3.1)
+    assert not met("hopper-vel", 2.0, 2.0, failures=1)
+    assert met("ant-dir", 0.0, 359.5)
+    assert not met("ant-dir", 0.0, 358.5)
+
+
+def test_a_task_without_a_target_is_not_judged():
+    task = {"name": "jump", "target": None, "return_mean": 1.0, "failures": 0, "outcome": {"height": 1.5}}
+    judged = judge(make_family("hopper-vel"), task, [task])
+    assert judged == {"name": "jump", "target": None, "return": 1.0, "failures": 0, "outcome": {"height": 1.5}}
+
+
+def test_limits_are_told_in_a_sentence():
+    met = {"name": "a", "met": True, "failures": 0}
+    off = {"name": "b", "met": False, "failures": 0, "achieved": 0.123}
+    over = {"name": "c", "met": False, "failures": 2}
+    assert limits([met, met], 5, "m/s") == "Meets 2 of 2 tasks."
+    told = "Meets 1 of 3 tasks; achieves (m/s) 0.12 for b; ends early in c (2 of 5 episodes)."
+    assert limits([met, off, over], 5, "m/s") == told
+    free = {"name": "d", "failures": 1, "outcome": {"height": 1.5, "velocity": 0.0}}
+    told = "ends early in d (1 of 5 episodes); on tasks without a target has d (height 1.50, velocity 0.00)."
+    assert limits([met, free], 5, "m/s") == f"Meets 1 of 1 tasks; {told}"
+    assert limits([free], 5, "m/s") == f"E{told[1:]}"
+
+
+def test_a_command_names_what_differs_from_the_preset():
+    config = preset_config("hopper-vel", "fast+no-noise", "ear")
+    assert command_line(config) == "ear train hopper-vel --preset fast+no-noise"
+    smoke = preset_config("hopper-vel", "smoke", "multihead")
+    assert command_line(smoke) == "ear train hopper-vel --preset smoke --agent multihead"
+
+
+def test_a_learning_curve_is_thinned_to_its_end():
+    rows = [{"seconds": 60.0 * n, "env_steps": n, "updates": n, "mean_return": n} for n in range(101)]
+    points = thinned(rows)
+    assert len(points) <= CURVE_POINTS
+    assert points[-1] == {"minutes": 100.0, "env_steps": 100, "updates": 100, "mean_return": 100}
+    assert len(thinned(rows[:3])) == 3

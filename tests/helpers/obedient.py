@@ -1,0 +1,24 @@
+"""An agent that does what its code says, without training."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ear_jax.agents import Agent
+from ear_jax.agents.networks import unit_vector
+from ear_jax.agents.tanh_gaussian import Gaussian
+
+# Codes of the two tasks on a great circle: the action goes from −0.5 to 0.5 as the circle is followed.
+CODES = jnp.array([[-0.5, np.sqrt(0.75), 0.0], [0.5, np.sqrt(0.75), 0.0]])
+
+
+def obedient(codes: jax.Array) -> Agent:
+    def distribution(policy, code, obs):
+        return Gaussian(jnp.arctanh(jnp.clip(code[:1], -0.999, 0.999)), jnp.full(1, -9.0))
+
+    def nothing(*_):
+        return None
+
+    return Agent(3, nothing, lambda policy: codes, unit_vector, distribution, None, on_sphere=True, embed=nothing)

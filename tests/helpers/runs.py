@@ -1,0 +1,83 @@
+"""Small runs to train, and what a test asks of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from ear_jax.config import CheckpointConfig, Config, flat
+from ear_jax.presets import preset_config
+from ear_jax.runs import checkpoint, loop, training
+from ear_jax.runs.leaves import named_leaves
+from ear_jax.runs.loop import compile_program
+from ear_jax.runs.training import Program, make_program, seed_keys
+
+
+def tiny_config(**changes: object) -> Config:
+    base = preset_config("halfcheetah-vel", "smoke")
+    base = dataclasses.replace(
+        base,
+        engine="native",
+        epochs=4,
+        tasks=("1", "3"),
+        network=dataclasses.replace(base.network, width=16),
+        sac=dataclasses.replace(base.sac, batch_size=32, updates=4),
+        collect=dataclasses.replace(base.collect, envs=2, steps=5, pretrain_epochs=2),
+        replay=dataclasses.replace(base.replay, capacity=400),
+        log=dataclasses.replace(base.log, epochs=2, episodes=1),
+    )
+    return dataclasses.replace(base, **changes)  # type: ignore[arg-type]
+
+
+def finished_config(**changes: object) -> Config:
+    """Of the finished run below: two seeds, 12 blocks of 2 epochs, checkpoints of epochs 6, 12, 18 and 24."""
+    return tiny_config(**{"seeds": 2, "epochs": 24, "checkpoint": CheckpointConfig(blocks=3), **changes})
+
+
+def compiled(config: Config) -> loop.Compiled:
+    """The compiled program of a configuration; of those that differ only in how long to train, the same."""
+    return _compiled(dataclasses.replace(config, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
+
+
+@functools.cache
+def _compiled(config: Config) -> loop.Compiled:
+    return compile_program(make_program(config), seed_keys(config))
+
+
+def _compile_once(program: Program, keys: jax.Array) -> loop.Compiled:
+    return compiled(program.config)
+
+
+def words(config: Config) -> list[str]:
+    """The command line of a configuration, every setting named."""
+    given = {name: value for name, value in flat(config).items() if value is not None and name != "family"}
+    found = ["train", config.family]
+    for name, value in given.items():
+        found += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return found
+
+
+# Where a write fails, Orbax leaves others behind that nobody waits for, and Python tells of them when it finds them.
+stray_writes = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+
+def state_after(config, epochs: int):
+    program = compiled(config)
+    state = loop.fill_replay(program, program.init(seed_keys(config)), config.collect.pretrain_epochs)
+    return loop.train_epochs(program, state, epochs)[0]
+
+
+def leaves(state) -> list[np.ndarray]:
+    return [np.asarray(leaf) for leaf in named_leaves(state).values()]
+
+
+def last_state(run: Path, config, warn=pytest.fail) -> training.TrainState:
+    """What the newest checkpoint of a run holds."""
+    like = jax.eval_shape(jax.vmap(partial(training.init, make_program(config))), seed_keys(config))
+    return checkpoint.restore(checkpoint.newest(run / "checkpoints", warn), like)

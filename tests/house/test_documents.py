@@ -1,0 +1,192 @@
+"""What our documents say in numbers is what the records and the tests say; nothing measured stands there unchecked."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import common, recipe
+from ear_jax import pretrained
+from ear_jax.runs import records
+from experiments.inventory import RECORDS
+from experiments.report import documents, measures, readme
+from experiments.report.formatting import NAMES, number
+from experiments.report.run_index import RunIndex
+from tests.helpers.tolerances import MJX_TOLERANCES
+
+ROOT = Path(__file__).parents[2]
+CHEETAH = RECORDS / "halfcheetah-vel-ear-fast-seed0"
+DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+# A number that looks measured: with a unit of time, a share, a ratio, or negative as returns are.
+MEASURED = re.compile(r"−\d[\d.,]*|\d[\d.,]* ?(?:s|seconds?|min|minutes?|hours?|ms|%|times)\b")
+GIVEN = (  # what is set, by us, by the models or by the paper
+    "a step of 8 ms",
+    "where a step is 8 ms",
+    "some 20 times as large as joint angles",
+    "take 8 times the room",
+    "about 4 times what was measured",
+    "paper's −136.9",
+    "in [−1, 1]",
+)
+
+
+def plain(path: Path) -> str:
+    """A document's own words in one line: without code, and without what is written from records."""
+    text = re.sub(r"<!-- (\w+) -->.*<!-- /\1 -->|```.*?```|`[^`]*`", "", path.read_text(), flags=re.DOTALL)
+    return " ".join(text.split())
+
+
+def said_of_the_cheetah() -> list[str]:
+    """README's words about the run whose figures it shows."""
+    rows = records.read_rows(CHEETAH / "metrics.jsonl")
+
+    def passed(level: float) -> int:
+        return round(next(row["seconds"] for row in rows if row["mean_return"] >= level) / 60)
+
+    evaluated = json.loads((CHEETAH / "evaluation.json").read_text())["mean_return"]
+    last = rows[-1]["seconds"] / 60
+    return [
+        f"past −250 in {passed(-250)} minutes, past −200 in {passed(-200)}, {number(evaluated, 0)} in {last:.0f}",
+        f"{last:.0f} minutes on one CPU core",
+    ]
+
+
+def said_of_the_long_run() -> list[str]:
+    """What twice the length gives the cheetah, as `docs/fast.md` has it."""
+    usual, long = (
+        [one["mean_return"] for one in json.loads((RECORDS / name / "evaluation.json").read_text())["seeds"]]
+        for name in ("halfcheetah-vel-ear-fast-seeds0-4", pretrained.card("halfcheetah-vel")["record"])
+    )
+    assert len(usual) == len(long) == 5
+    return [
+        f"five seeds return {number(sum(long) / 5)} in the mean, and {number(sum(usual) / 5)} otherwise",
+        f"the best of them reaches {number(max(long))}",
+    ]
+
+
+def said_of_the_ant() -> list[str]:
+    """Its returns, how fast it is in metres a second, and how many episodes end early, as `docs/fast.md` has them."""
+    returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
+    wide, wide_speeds, wide_early = ants(*(f"fast+wide-seed{seed}" for seed in range(3)))
+    (half_as_long,), *_ = ants("fast-width-512-seed1")
+    return [
+        f"Its seeds return {returns[0]}, {returns[1]} and {returns[2]}",
+        f"at {speeds}",
+        f"{early} episodes end early",
+        f"its seeds return {wide[0]}, {wide[1]} and {wide[2]}, at {wide_speeds}",
+        f"and {wide_early} episodes end early",
+        f"seed 1 returns {half_as_long}",
+    ]
+
+
+def said_of_the_wide() -> list[str]:
+    """Of the hopper and the walker as wide, and as `fast` has them."""
+    found = RunIndex("fast")
+    (wide_hopper,), (wide_walker,) = (found.runs(family, variant="+wide") for family in ("hopper-vel", "walker-vel"))
+    hoppers, walkers = (list(map(measures.mean_return, found.runs(one))) for one in ("hopper-vel", "walker-vel"))
+    assert len(hoppers) == len(walkers) == 3
+    wide = " and ".join(number(measures.mean_return(run)) for run in (wide_hopper, wide_walker))
+    usual = " and ".join(number(float(np.mean(returns))) for returns in (hoppers, walkers))
+    return [f"The first wide seeds of hopper and walker return {wide}, the three of {usual} in the mean"]
+
+
+def said_of_the_ring() -> list[str]:
+    """How far apart the embeddings of the ant's neighbouring directions are, and what that does to blends."""
+    found = RunIndex("fast")
+    *even, broken = map(measures.gaps, found.runs("ant-dir", variant="+wide"))
+    blends = json.loads((RECORDS / "ant-dir-ear-fast+wide-seed2" / "interpolation.json").read_text())["one_to_one"]
+    assert [int(np.sum(measures.gaps(run) > 30)) for run in found.runs("ant-dir")] == [0, 5, 0]
+    return [
+        f"are {np.min(even):.0f} to {np.max(even):.0f}° apart in wide seeds 0 and 1",
+        f"In seed 2 they are {min(broken):.0f} to {max(broken):.0f}° apart",
+        f"lies between only {blends['success']} of its {blends['total']} neighbours",
+    ]
+
+
+def said_of_the_gathered() -> list[str]:
+    """Of the hopper's seed 0 whose LTEs began gathered, and of that whose did not."""
+    gathered, usual = (RunIndex("fast").runs("hopper-vel", variant=variant)[0] for variant in ("+gathered", ""))
+    assert gathered.seed == usual.seed == 0
+    gaps, pairs = [], []
+    for run in (gathered, usual):
+        gaps.append(f"{max(measures.gaps(run)):.0f}°")
+        pairs.append([measures.successes([run], what) for what in ("mid_task", "one_to_one")])
+    return [
+        f"the widest gap is {gaps[0]} instead of {gaps[1]}",
+        "the return {} instead of {}".format(*(number(measures.mean_return(run)) for run in (gathered, usual))),
+        f"pairs {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
+        f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
+    ]
+
+
+def ants(*names: str) -> tuple[list[str], str, str]:
+    """Of recorded runs of the ant in words: each one's return, from what to what speed, how many of how many fell."""
+    returns, speeds, lengths = [], [], []
+    for name in names:
+        found = json.loads((RECORDS / f"ant-dir-ear-{name}" / "evaluation.json").read_text())
+        returns.append(number(found["mean_return"], 0))
+        for task in found["seeds"][0]["tasks"]:
+            speeds.append(math.hypot(task["outcome"]["velocity_x"], task["outcome"]["velocity_y"]))
+            lengths += task["episodes"]["length"]
+    early = sum(length < 200 for length in lengths)
+    return returns, f"{min(speeds):.1f} to {max(speeds):.1f} m/s", f"{early} of {len(lengths)}"
+
+
+def said_of_commands() -> list[str]:
+    """README's words about how long commands take."""
+    rows: dict[str, dict[str, Any]] = {
+        row["command"]: row for row in records.read_rows(common.RESULTS / "adaptation.jsonl") if not row["quick"]
+    }
+    return [
+        f"99 each, in {rows['interpolate']['seconds']:.0f} seconds",
+        f"2,000 embeddings rolled out in {rows['map']['seconds']:.0f} seconds",
+    ]
+
+
+def test_readme_and_results_say_what_the_records_say():
+    found = RunIndex("fast")
+    assert documents.read(readme.README, readme.PLACE) == readme.results(found)
+    assert documents.read(readme.DETAILS, readme.PLACE) == readme.details(found)
+
+
+@pytest.mark.parametrize(
+    ("said", "document"),
+    [
+        (said_of_the_cheetah, "README.md"),
+        (said_of_commands, "README.md"),
+        (said_of_the_ant, "docs/fast.md"),
+        (said_of_the_wide, "docs/fast.md"),
+        (said_of_the_ring, "docs/fast.md"),
+        (said_of_the_gathered, "docs/fast.md"),
+        (said_of_the_long_run, "docs/fast.md"),
+    ],
+)
+def test_documents_say_of_runs_and_commands_what_was_measured(said, document):
+    for words in said():
+        assert words in plain(ROOT / document)
+
+
+def test_the_trials_of_the_recipe_are_those_of_its_rows():
+    rows = records.read_rows(common.RESULTS / "recipe.jsonl")
+    assert documents.read(recipe.DOCUMENT, recipe.PLACE) == recipe.trials(rows)
+
+
+def test_the_error_of_mjx_is_said_to_be_what_its_test_allows():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    for family, tolerances in MJX_TOLERANCES.items():
+        env_states = (", ".join(f"{value:g}" for value in numbers) for numbers in tolerances)
+        assert f"| {NAMES[family]} | {' | '.join(env_states)} |" in text
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
+def test_nothing_that_looks_measured_stands_unchecked(path):
+    text = plain(path)
+    for words in (*said_of_the_cheetah(), *said_of_the_long_run(), *said_of_commands(), *GIVEN):
+        text = text.replace(words, "")
+    assert not MEASURED.findall(text)

@@ -1,0 +1,31 @@
+"""The document on use from Python: its blocks run as one program, as printed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ear_jax.config import check
+from ear_jax.runs import loop
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "python.md"
+
+
+def test_the_documents_program_runs(tmp_path, monkeypatch):
+    """All but the training, which would take an hour: its settings are checked instead."""
+    monkeypatch.chdir(tmp_path)
+    trained = []
+    monkeypatch.setattr(loop, "train_run", lambda config, directory: trained.append((config, directory)))
+    blocks = re.findall(r"^```python\n(.*?)^```$", DOCUMENT.read_text(), re.MULTILINE | re.DOTALL)
+    names: dict = {}
+    exec(compile("\n".join(blocks), str(DOCUMENT), "exec"), names)
+    assert names["action"].shape == (6,)
+    assert np.all(np.abs(names["action"]) <= 1)
+    assert 2.2 < names["velocity"] < 2.8
+    assert np.isfinite(names["reward"])
+    assert names["over"] == 0
+    ((config, directory),) = trained
+    check(config, tasks=10)
+    assert (config.seed, config.sac.lte_noise, directory) == (1, 0.0, Path("runs/mine"))

@@ -1,0 +1,99 @@
+"""Settings that an agent does not read are refused, and no others: told by the programs that are traced with them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from fnmatch import fnmatch
+
+import jax
+import pytest
+
+from ear_jax.cli.main import main
+from ear_jax.config import Config, MamlConfig, flat, from_dict
+from ear_jax.errors import UsageError
+from ear_jax.methods import METHODS
+from ear_jax.presets import check_effect, preset_config
+from ear_jax.runs import training
+from tests.helpers.runs import tiny_config
+
+# What is not the learner's: how long, where, how often looked at; and what another test's family or size is for.
+ELSEWHERE = ("family", "preset", "agent", "engine", "seed", "seeds", "epochs", "minutes", "tasks", "env.*", "log.*")
+NOT_TRIED = (*ELSEWHERE, "checkpoint.*", "collect.pretrain_epochs", "network.history", "replay.symmetry")
+
+
+def other_value(name: str, value: object) -> object:
+    """Another value of a setting, as valid."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int):
+        return value + 2 if name in ("sac.batch_size", "collect.steps", "replay.capacity") else value + 1
+    if isinstance(value, float):
+        return 0.5 * value or 0.25
+    return {"authors": "fan_in", "fan_in": "authors", "float32": "bfloat16", "spread": "gathered"}[value]
+
+
+def with_setting(config: Config, name: str, value: object) -> Config:
+    group, _, setting = name.rpartition(".")
+    return replace(config, **{group: replace(getattr(config, group), **{setting: value})})
+
+
+def traced(config: Config) -> str:
+    """A fresh run, its collection and its updates, as JAX sees them."""
+    program, key = training.make_program(config), jax.random.key(0)
+    state = jax.eval_shape(lambda key: training.init(program, key), key)
+    parts = (
+        jax.make_jaxpr(lambda key: training.init(program, key))(key),
+        jax.make_jaxpr(lambda state: training.collect(program, state))(state),
+        jax.make_jaxpr(lambda state: training.learn(program, state))(state),
+    )
+    return re.sub(r"0x[0-9a-f]+", "", "\n".join(map(str, parts)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("agent", METHODS)
+def test_what_an_agent_does_not_read_is_what_changes_nothing_of_its_programs(agent):
+    network = replace(preset_config("halfcheetah-vel", "smoke", agent).network, width=8, task_width=8, task_layers=1)
+    tiny = tiny_config(agent=agent, network=network)
+    tiny = replace(tiny, replay=replace(tiny.replay, own_share=0.5), sac=replace(tiny.sac, lr_decay=9))
+    if agent == "maml":
+        tiny = replace(tiny, sac=replace(tiny.sac, updates=1), collect=replace(tiny.collect, steps=6))
+    before = traced(tiny)
+    assert traced(tiny) == before
+    for name, value in flat(tiny).items():
+        if any(fnmatch(name, one) for one in NOT_TRIED) or (agent, name) == ("maml", "sac.updates"):
+            continue
+        after = traced(with_setting(tiny, name, other_value(name, value)))
+        assert (after == before) is not METHODS[agent].reads(name), name
+
+
+def test_they_are_refused_and_others_are_not():
+    for agent in METHODS:
+        config = preset_config("halfcheetah-vel", "fast", agent)
+        check_effect(config)
+        check_effect(replace(config, epochs=3, network=replace(config.network, width=8)))
+    with pytest.raises(UsageError, match=r"--maml.inner-lr 3.0 would change nothing: agent 'onehot' has no use for it"):
+        check_effect(replace(preset_config("ant-dir", "fast", "onehot"), maml=MamlConfig(inner_lr=3.0)))
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("halfcheetah-vel --agent multihead --network.lse-size 8", "--network.lse-size 8 would change nothing"),
+        ("halfcheetah-vel --agent maml --sac.discount 0.9", "agent 'maml' has no use for it"),
+        ("halfcheetah-vel --replay.symmetry True", "halfcheetah-vel has no symmetry"),
+        ("halfcheetah-vel --agent ear-rnn --network.encoder-layers 0", "whose first layer is its RNN"),
+    ],
+)
+def test_the_command_line_says_so_in_one_line(words, complaint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["train", *words.split()]) == 2
+    err = capsys.readouterr().err
+    assert complaint in err
+    assert err.count("\n") == 1
+
+
+def test_every_agent_and_pattern_is_real():
+    names = flat(from_dict({"family": "x"}))
+    patterns = {pattern for method in METHODS.values() for pattern in method.unread}
+    assert all(any(fnmatch(name, pattern) for name in names) for pattern in patterns)

@@ -1,0 +1,137 @@
+"""One policy in one file: it is the run's, it loads wherever a run does, and a damaged one is refused."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from ear_jax.cli.main import main
+from ear_jax.errors import RunError, UsageError
+from ear_jax.runs import manifest, records, safetensors
+from ear_jax.runs.export import write_policy
+from ear_jax.runs.trained import load
+from tests.helpers.runs import finished_config, leaves
+
+
+@pytest.fixture
+def exported(finished, tmp_path, capsys) -> Path:
+    file = tmp_path / "policy.safetensors"
+    assert main(["export", str(finished), str(file), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["file"], document["epoch"], document["bytes"]) == (str(file), 24, file.stat().st_size)
+    assert "trained for 24 epochs, 520 env steps and 96 updates a seed, mean return -" in document["card"]
+    return file
+
+
+def test_the_file_is_the_runs_policy_without_its_replay(finished, exported):
+    run, file = load(finished), load(exported)
+    assert (file.name, file.epoch, file.collected) == (str(exported), 24, run.collected)
+    for one, two in zip(leaves(run.policies), leaves(file.policies), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert file.program.tasks == run.program.tasks
+    assert exported.stat().st_size < 50_000
+
+
+def test_others_read_its_layout_and_its_code_table(finished, exported):
+    """By the format's description alone."""
+    content = exported.read_bytes()
+    size = int.from_bytes(content[:8], "little")
+    header = json.loads(content[8 : 8 + size])
+    assert size % 8 == 0
+    assert set(header["__metadata__"]) == {"format", "about", "card", "sha256"}
+    assert json.loads(header["__metadata__"]["about"])["config"]["network"]["width"] == 16
+    begin, end = header["codes"]["data_offsets"]
+    codes = np.frombuffer(content[8 + size + begin : 8 + size + end], "<f4").reshape(header["codes"]["shape"])
+    run = load(finished)
+    np.testing.assert_array_equal(codes, jax.vmap(run.program.agent.codes)(run.policies))
+    assert codes.shape == (2, 2, 3)
+    assert max(entry["data_offsets"][1] for entry in header.values() if "shape" in entry) == len(content) - 8 - size
+
+
+def test_a_command_takes_it_for_a_run(exported, capsys):
+    assert main(["evaluate", str(exported), "--episodes", "1", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert (document["run"], document["env_steps"], document["updates"]) == (str(exported), 520, 96)
+    results = exported.parent / "policy-results"
+    assert {path.name for path in results.iterdir()} == {"evaluation.json", "figures"}
+    assert [path.name for path in (results / "figures").iterdir()] == ["commanded_achieved.png"]
+
+
+def test_one_seed_of_several_is_as_if_trained_alone(finished, tmp_path, capsys):
+    file, both = tmp_path / "second.safetensors", load(finished)
+    assert main(["export", str(finished), str(file), "--policy", "1"]) == 0
+    assert "seeds from 1: 1, one of 2 trained side by side" in capsys.readouterr().out
+    alone = load(file)
+    assert (alone.program.config.seed, alone.program.config.seeds) == (1, 1)
+    for one, two in zip(leaves(alone.policies), leaves(both.policies), strict=True):
+        np.testing.assert_array_equal(one, two[1:])
+    (last,) = (row for row in records.read_rows(finished / "metrics.jsonl") if (row["epoch"], row["seed"]) == (24, 1))
+    assert f"mean return {last['mean_return']:.1f}" in safetensors.read(file)[1]["card"]
+    assert main(["export", str(file), str(tmp_path / "again.safetensors"), "--policy", "1"]) == 2
+    assert "--policy 1 is none of the run's: it has 1, and the first is 0" in capsys.readouterr().err
+
+
+def test_every_flipped_bit_is_found(exported):
+    content = exported.read_bytes()
+    dice = random.Random(0)
+    for byte in (*dice.sample(range(len(content)), 100), *range(16)):
+        flipped = bytearray(content)
+        flipped[byte] ^= 1 << dice.randrange(8)
+        exported.write_bytes(flipped)
+        with pytest.raises(RunError, match=str(exported)):
+            load(exported)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x08", b"cos\nsystem\n(S'true'\ntR.", b"\xff" * 100, b"\x02" + b"\0" * 7 + b"[]"]
+)
+def test_what_is_no_such_file_is_refused(content, tmp_path):
+    file = tmp_path / "policy.safetensors"
+    file.write_bytes(content)
+    with pytest.raises(RunError, match=f"{file} is no "):
+        load(file)
+
+
+def test_an_array_that_points_outside_of_the_file_is_refused(tmp_path):
+    file = tmp_path / "a.safetensors"
+    safetensors.write(file, {"a": np.arange(4, dtype=np.float32)}, {"format": "x"})
+    arrays, metadata = safetensors.read(file)
+    np.testing.assert_array_equal(arrays["a"], [0, 1, 2, 3])
+    assert metadata == {"format": "x"}
+    file.write_bytes(file.read_bytes().replace(b"[0, 16]", b"[8, 24]"))
+    with pytest.raises(RunError, match="an array lies outside of it"):
+        safetensors.read(file)
+
+
+def test_export_overwrites_nothing(finished, exported, capsys):
+    assert main(["export", str(finished), str(exported)]) == 2
+    assert "is there already; name another file" in capsys.readouterr().err
+    assert main(["export", str(finished), "policy.pt"]) == 2
+    assert "must end in .safetensors" in capsys.readouterr().err
+
+
+def test_code_is_run_only_where_the_user_names_it(exported, finished, tmp_path):
+    """A checkpoint and a file that are whole in every way, and name a Python file as their family."""
+    evil = tmp_path / "evil.py"
+    evil.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    policies, step = load(exported), finished / "checkpoints" / "24"
+    about = json.loads((step / "about.json").read_text())
+    about["config"]["family"] = f"{evil}:Family"
+    records.write_json(step / "about.json", about)
+    manifest.write(step)
+    write_policy(tmp_path / "evil.safetensors", policies.policies, np.zeros((2, 2, 3), np.float32), about, "")
+    for path in (finished, tmp_path / "evil.safetensors"):
+        with pytest.raises(UsageError, match=f"that is not ear_jax's own; name it: --family {evil}:Family"):
+            load(path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_family_that_is_named_again_has_to_be_the_same(exported):
+    with pytest.raises(UsageError, match="is of family halfcheetah-vel, not hopper-vel"):
+        load(exported, "hopper-vel")
+    assert load(exported, "halfcheetah-vel").program.config == finished_config(engine="auto")

@@ -1,0 +1,297 @@
+"""Runs that are killed, stopped, starved of disk or mistaken for another; each as a user would meet it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ear_jax.cli.main import main
+from ear_jax.config import CheckpointConfig, Config
+from ear_jax.errors import RunError, UsageError
+from ear_jax.runs import checkpoint, loop, records
+from ear_jax.runs.loop import train_run
+from ear_jax.runs.training import make_program
+from ear_jax.tasks import Task, task_set
+from tests.helpers.runs import finished_config, last_state, leaves, stray_writes, words
+
+
+@contextmanager
+def training(config: Config, directory: Path, said: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """`ear train` in a process of its own, whose stderr goes to a file."""
+    command = [sys.executable, "-m", "ear_jax.cli.main", *words(config), "--out", str(directory)]
+    environment = {**os.environ, "EAR_JAX_CACHE": str(said.parent / "cache")}
+    with said.open("wb") as stderr, subprocess.Popen(command, env=environment, stderr=stderr) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_for(process: subprocess.Popen[bytes], happened: Callable[[], bool], seconds: float = 600) -> None:
+    """Looks a thousand times a second; fails where the process ends before it happens."""
+    until = time.monotonic() + seconds
+    while not happened():
+        assert process.poll() is None, f"it ended with {process.returncode} before that"
+        assert time.monotonic() < until, "it takes too long"
+        time.sleep(0.001)
+
+
+def assert_same_run(one: Path, other: Path, config: Config) -> None:
+    """The same last state to the bit, and the same rows but for the clock."""
+    for mine, yours in zip(leaves(last_state(one, config)), leaves(last_state(other, config)), strict=True):
+        np.testing.assert_array_equal(mine, yours)
+    rows, others = (records.read_rows(directory / "metrics.jsonl") for directory in (one, other))
+    assert [row | {"seconds": 0} for row in rows] == [row | {"seconds": 0} for row in others]
+    seeds, blocks = range(config.seeds), range(config.log.epochs, config.epochs + 1, config.log.epochs)
+    assert [(row["epoch"], row["seed"]) for row in rows] == [(epoch, seed) for epoch in blocks for seed in seeds]
+
+
+def saving(directory: Path, since: float) -> bool:
+    """Whether a step is being written that was begun since then; others are what killed processes left."""
+    with contextlib.suppress(FileNotFoundError):
+        return any(path.stat().st_mtime > since for path in (directory / "checkpoints").glob(".*.part"))
+    return False
+
+
+def test_killed_in_a_save_and_stopped_after_that_it_ends_as_if_nothing_had_been(
+    finished_once, tmp_path, monkeypatch, compiled_once, capsys
+):
+    config, directory = finished_config(), tmp_path / "run"
+    with training(config, directory, tmp_path / "said") as process:
+        wait_for(process, lambda: (directory / "checkpoints" / ".12.part").exists())
+        process.kill()
+    command = [*words(config), "--out", str(directory)]
+    append, sent = records.append_rows, []
+
+    def append_and_stop(*rows):
+        append(*rows)
+        if not sent:  # a second one would end this process at once
+            sent.append(os.kill(os.getpid(), signal.SIGTERM))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(records, "append_rows", append_and_stop)
+        assert main(command) == 143
+    said = capsys.readouterr().err
+    assert f"process {process.pid} on " in said
+    assert "restoring epoch 6" in said
+    stopped = records.read_rows(directory / "metrics.jsonl")[-1]["epoch"]
+    assert f"stopped at epoch {stopped}; the same command continues" in said
+    assert checkpoint.steps(directory / "checkpoints")[-1] == stopped < 24
+    assert main(command) == 0
+    assert_same_run(directory, finished_once, config)
+
+
+MOMENTS = ("pretraining", "pretraining", "pretraining", *("training", "saving") * 8, "training")
+
+
+@pytest.mark.slow
+def test_killed_at_twenty_random_moments_it_ends_as_if_nothing_had_been(tmp_path):
+    """Three in pretraining, nine in training, eight in saving, each up to a few tenths of a second in."""
+    config = finished_config(epochs=600, checkpoint=CheckpointConfig(blocks=4))
+    directory, said, dice = tmp_path / "run", tmp_path / "said", random.Random(0)
+    for moment in MOMENTS:
+        began = time.time()
+        with training(config, directory, said) as process:
+            wait_for(process, lambda: "compiling:" in said.read_text())
+            if moment == "saving":
+                wait_for(process, lambda: saving(directory, began))  # noqa: B023
+                time.sleep(dice.uniform(0, 0.1))
+            elif moment == "training":
+                wait_for(process, lambda: re.search(r"epoch \d+/", said.read_text()) is not None)
+                time.sleep(dice.uniform(0, 0.5))
+            else:
+                time.sleep(dice.uniform(0, 1.0))
+            assert process.poll() is None, f"it came to its end before it was killed while {moment}"
+            process.kill()
+    with training(config, directory, said) as process:
+        assert process.wait(600) == 0, said.read_text()
+    train_run(config, tmp_path / "whole")
+    assert_same_run(directory, tmp_path / "whole", config)
+
+
+@stray_writes
+def test_a_full_disk_is_survived_and_told(finished, monkeypatch, small_files, capsys, compiled_once):
+    save = checkpoint.save
+
+    def with_little_room(*arguments):
+        with small_files(20_000):
+            save(*arguments)
+
+    monkeypatch.setattr(loop.checkpoint, "save", with_little_room)
+    config = finished_config(epochs=28, checkpoint=CheckpointConfig(blocks=1))
+    with pytest.raises(RunError, match=r"epoch 28 could not be written: .*File too large.* continues from the check"):
+        train_run(config, finished)
+    assert "warning: the checkpoint of epoch 26 could not be written" in capsys.readouterr().err
+    assert checkpoint.newest(finished / "checkpoints", pytest.fail).epoch == 24
+    monkeypatch.setattr(loop.checkpoint, "save", save)
+    train_run(config, finished)
+    assert [row["epoch"] for row in records.read_rows(finished / "metrics.jsonl")][-6::2] == [24, 26, 28]
+
+
+@pytest.mark.slow
+def test_on_a_small_file_system_that_fills_up(tmp_path):
+    """The first checkpoint takes 6 of 9 MB, and the second has no room beside it."""
+    disk, said = tmp_path / "disk", tmp_path / "said"
+    disk.mkdir()
+    mount = shutil.which("mount")
+    mounting = ["mount", "-t", "tmpfs", "-o", "size=9m", "tmpfs", str(disk)]
+    if mount is None or subprocess.run(mounting, capture_output=True).returncode:
+        pytest.skip("no file system can be mounted here; a limit of file sizes stands in for it in the short test")
+    try:
+        config = finished_config(epochs=8, checkpoint=CheckpointConfig(blocks=1))
+        collect = dataclasses.replace(config.collect, envs=25, steps=100)
+        replay = dataclasses.replace(config.replay, capacity=40_000)
+        config = dataclasses.replace(config, collect=collect, replay=replay)
+        with training(config, disk / "run", said) as process:
+            assert process.wait(600) == 1, said.read_text()
+        assert "No space left on device" in said.read_text()
+        assert "Traceback" not in said.read_text()
+        good = checkpoint.newest(disk / "run" / "checkpoints", pytest.fail)
+        assert good.epoch == 2
+        last_state(disk / "run", config)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_without_its_replay_a_checkpoint_is_small_and_continuing_says_what_it_costs(finished, capsys, compiled_once):
+    config, steps = finished_config(epochs=26), finished / "checkpoints"
+    small = dataclasses.replace(config, checkpoint=CheckpointConfig(replay=False))
+    train_run(small, finished)
+    step = checkpoint.newest(steps, pytest.fail)
+    assert (step.epoch, step.about["replay"]) == (26, False)
+    assert not any(name.startswith("replay") for name in step.about["leaves"])
+    capsys.readouterr()
+    train_run(dataclasses.replace(config, epochs=28), finished)
+    said = capsys.readouterr().err
+    assert "epoch 26 was saved without its replay; 2 epochs of collection, 40 env steps a seed, fill it anew" in said
+    rows = records.read_rows(finished / "metrics.jsonl")
+    # 2 tasks × 2 envs × 5 steps an epoch; 2 epochs of pretraining, and the same again
+    assert [(row["epoch"], row["env_steps"]) for row in rows[-4::2]] == [(26, 560), (28, 640)]
+    assert checkpoint.newest(steps, pytest.fail).about["replay"]
+
+
+def times(directory: Path) -> dict[Path, int]:
+    """When each file was changed last; the lock is whoever's that looked."""
+    return {path: path.stat().st_mtime_ns for path in directory.rglob("*") if path.name != "lock"}
+
+
+@pytest.fixture
+def refusal(finished, monkeypatch) -> Callable[..., str]:
+    """What training that run is refused with, before anything is compiled or written."""
+    monkeypatch.setattr(loop, "compile_program", lambda *_: pytest.fail("it came to compiling"))
+
+    def refuse(config: Config) -> str:
+        before = times(finished)
+        with pytest.raises((UsageError, RunError)) as raised:
+            train_run(config, finished)
+        assert times(finished) == before
+        assert "\n" not in str(raised.value)
+        return str(raised.value)
+
+    return refuse
+
+
+MORE = finished_config(epochs=30)
+
+
+def test_two_writers(refusal, finished):
+    from ear_jax.runs.lock import lock_directory
+
+    with lock_directory(finished, pytest.fail):
+        assert f"{finished} is in use by process {os.getpid()} on " in refusal(MORE)
+
+
+def test_changed_settings(refusal):
+    changed = dataclasses.replace(MORE, sac=dataclasses.replace(MORE.sac, lr=0.5), seed=7)
+    assert "other settings: seed was 0, is 7; sac.lr was 0.001, is 0.5; use another --out" in refusal(changed)
+
+
+def test_another_task_set_under_the_same_name(refusal, monkeypatch):
+    """As when a family's own file has changed since."""
+    from ear_jax.envs.halfcheetah_vel import HalfCheetahVel
+
+    parse, params = HalfCheetahVel.parse_task, {"velocity": 9.0}
+    other = lambda self, text: dataclasses.replace(parse(self, text), params=params)  # noqa: E731
+    monkeypatch.setattr(HalfCheetahVel, "parse_task", other)
+    said = refusal(MORE)
+    assert "was trained on other tasks: {'name': 'vel-1', 'target': 1.0, 'params': {'velocity': 1.0}} is now" in said
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "complaint"),
+    [
+        ("family", "hopper-vel", "family was hopper-vel, is halfcheetah-vel"),
+        ("network", {"width": 32}, "network.width was 32, is 16"),
+    ],
+)
+def test_a_checkpoint_of_another_family_or_width(setting, value, complaint, refusal, finished):
+    """Copied into this run's directory, whole, from another's."""
+    state = last_state(finished, finished_config())
+    step = checkpoint.newest(finished / "checkpoints", pytest.fail)
+    config = step.about["config"]
+    other = {**config[setting], **value} if isinstance(value, dict) else value
+    checkpoint.save(finished / "checkpoints", 26, state, {**step.about, "config": {**config, setting: other}})
+    assert f"26 holds a run with other settings: {complaint}" in refusal(MORE)
+
+
+def test_a_checkpoint_whose_arrays_are_anothers(finished):
+    """One that says it is this run's, and is not."""
+    wide = dataclasses.replace(MORE, network=dataclasses.replace(MORE.network, width=32))
+    with pytest.raises(RunError, match=r"24 does not fit this run: .* is float32 \[2, .*16\] there and .*32\] here"):
+        last_state(finished, wide)
+
+
+def test_a_planted_pickle(refusal, finished):
+    for step in (finished / "checkpoints").iterdir():
+        shutil.rmtree(step)
+    (finished / "checkpoints" / "24").mkdir()
+    (finished / "checkpoints" / "24" / "state.pkl").write_bytes(b"cos\nsystem\n(S'true'\ntR.")
+    assert "24 is damaged: SHA256SUMS is missing; no good checkpoint is left" in refusal(MORE)
+
+
+def test_a_directory_that_cannot_be_written(refusal, finished, monkeypatch):
+    """The tests may run as root, whom no mode keeps out."""
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != finished)
+    assert refusal(MORE) == f"cannot write in {finished}"
+
+
+def test_what_a_process_left_that_was_killed_at_once_is_no_obstacle(run_directory, monkeypatch):
+    run_directory.mkdir()
+    for name in ("lock", "config.json.part"):
+        (run_directory / name).touch()
+    monkeypatch.setattr(loop, "compile_program", lambda *_: (_ for _ in ()).throw(RunError("it came to compiling")))
+    with pytest.raises(RunError, match="it came to compiling"):
+        train_run(finished_config(), run_directory)
+
+
+def test_a_dry_run_tells_and_writes_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main([*words(finished_config(seeds=1)), "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert "  sac.lr 0.001\n" in said
+    assert "memory: 0.00 GB: replay 0.00 GB, networks and optimisers 0.00 GB; " in said
+    assert re.search(r"time here: \d+ s to compile, [\d.]+ s an epoch, .* every 2; 24 epochs take \d+ minutes\n", said)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_fingerprint_is_of_names_targets_and_numbers_in_order():
+    one, two = (Task(name, target, {"velocity": target}) for name, target in (("a", 1.0), ("b", 2.0)))
+    prints = {task_set(tasks).fingerprint for tasks in ([one, two], [two, one], [one], [one, two])}
+    assert len(prints) == 3
+    other = dataclasses.replace(one, params={"velocity": 1.5})
+    assert task_set([other]).fingerprint != task_set([one]).fingerprint
+    assert make_program(finished_config()).tasks.fingerprint == make_program(finished_config(seeds=1)).tasks.fingerprint
