@@ -178,10 +178,10 @@ def test_the_trials_of_the_recipe_are_those_of_its_rows():
 
 
 def test_the_error_of_mjx_is_said_to_be_what_its_test_allows():
-    text = (ROOT / "docs" / "architecture.md").read_text()
+    text = (ROOT / "docs" / "engines.md").read_text()
     for family, tolerances in MJX_TOLERANCES.items():
-        env_states = (", ".join(f"{value:g}" for value in numbers) for numbers in tolerances)
-        assert f"| {NAMES[family]} | {' | '.join(env_states)} |" in text
+        cells = (", ".join(f"{value:g}" for value in numbers) for numbers in tolerances)
+        assert f"| {NAMES[family]} | {' | '.join(cells)} |" in text
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
