@@ -1,4 +1,4 @@
-"""Matmuls of bfloat16 numbers: what is rounded, and that a batch's gradient is one product."""
+"""Matmuls of bfloat16 numbers: their rounding, and that a batch's gradient is one product."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def whole(key: int, *shape: int) -> jax.Array:
 
 
 def loss(matmul: Any, kernels: jax.Array, x: jax.Array) -> jax.Array:
-    """Of all critics and items, each item's product weighed by a number of its own; kernels [critics, in, out]."""
+    """Sums over critics and items, each item's product weighed by a number of its own; kernels [critics, in, out]."""
     of_items = jax.vmap(jax.vmap(matmul, (0, None)), (None, 0))(x, kernels)
     return jnp.sum(of_items * whole(2, CRITICS, ITEMS, OUTPUTS))
 
@@ -53,13 +53,13 @@ def test_factors_are_rounded_to_eight_bits_and_sums_are_not():
 
 
 def shapes(jaxpr: Jaxpr) -> set[tuple[int, ...]]:
-    """Of everything that a traced program computes."""
+    """Returns the shapes of everything that a traced program computes."""
     found = {tuple(out.aval.shape) for equation in jaxpr.eqns for out in equation.outvars}
     return found.union(*(shapes(inner) for equation in jaxpr.eqns for inner in jaxprs_in_params(equation.params)))
 
 
 def test_a_batchs_gradient_is_no_sum_of_its_items():
-    """Which would be a matrix for every item, where one product has their sum."""
+    """Such a sum holds a matrix for every item, where one product gives their sum at once."""
     gradient = jax.make_jaxpr(jax.grad(partial(loss, bfloat16_matmul), (0, 1)))
     found = shapes(gradient(whole(0, CRITICS, INPUTS, OUTPUTS), whole(1, ITEMS, INPUTS)).jaxpr)
     assert (CRITICS, INPUTS, OUTPUTS) in found
@@ -82,7 +82,7 @@ def test_learning_rounds_and_acting_does_not():
 
 @pytest.mark.parametrize("agent", ["ear", "ear-rnn", "multihead", "onehot", "pearl"])
 def test_an_update_is_nearly_float32s(agent: str):
-    """The step of each network that Adam is given, its first moment, points the same way."""
+    """The gradient of each network, Adam's first moment, points the same way."""
     program = bandit_program(agent)
     state = begin(program)
     network = replace(program.config.network, matmul="bfloat16")

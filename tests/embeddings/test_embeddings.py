@@ -1,4 +1,4 @@
-"""The code table as an interface, on an agent that does just what its code says: its action is the first number."""
+"""Blends, searches and maps of codes, for an agent whose action is the first number of its code."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_extrapolation_follows_the_formula(toy):
     np.testing.assert_allclose(achieved[0, 0], b / np.sqrt(b**2 + 3), atol=1e-4)
 
 
-def test_a_pair_without_a_way_between_fails_both_measures(toy):
+def test_a_pair_without_a_value_between_fails_both_measures(toy):
     stuck = Program(toy.program.config, toy.program.family, toy.program.tasks, obedient(CODES[:1].repeat(2, 0)), None)
     trained = Trained("stuck", stuck, jnp.zeros((1, 1)), 0)
     found = interpolate(trained, [tuple(trained_ends(trained))], None, 1, 0)
@@ -128,7 +128,7 @@ def test_cem_asks_the_elites_again_and_keeps_the_best():
 
 
 def test_failures_are_episodes_that_end_before_their_time(toy):
-    """A bandit is over after its first step; the slider stays short of x = 2 for its four."""
+    """A bandit ends after its first step; the slider stays short of x = 2 for all four of its steps."""
     slider = Slider("native")
     whole = Program(Config("slider"), slider, slider.training_tasks(), obedient(CODES), None)  # type: ignore[arg-type]
     for trained, failures in ((toy, 3), (Trained("whole", whole, jnp.zeros((1, 1)), 0), 0)):

@@ -1,4 +1,4 @@
-"""Settings that an agent does not read are refused, and no others: told by the programs that are traced with them."""
+"""Settings that an agent does not read are refused, and no others: its traced programs show which it reads."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ear_jax.presets import check_effect, preset_config
 from ear_jax.runs import training
 from tests.helpers.runs import tiny_config
 
-# What is not the learner's: how long, where, how often looked at; and what another test's family or size is for.
+# Settings that are not the learner's (length, place, logging), and those that need another family or size.
 ELSEWHERE = ("family", "preset", "agent", "engine", "seed", "seeds", "epochs", "minutes", "tasks", "env.*", "log.*")
 NOT_TRIED = (*ELSEWHERE, "checkpoint.*", "collect.pretrain_epochs", "network.history", "replay.symmetry")
 
 
 def other_value(name: str, value: object) -> object:
-    """Another value of a setting, as valid."""
+    """Returns another valid value of a setting."""
     if isinstance(value, bool):
         return not value
     if isinstance(value, int):
@@ -39,7 +39,7 @@ def with_setting(config: Config, name: str, value: object) -> Config:
 
 
 def traced(config: Config) -> str:
-    """A fresh run, its collection and its updates, as JAX sees them."""
+    """Returns a fresh run, its collection and its updates as JAX traces them."""
     program, key = training.make_program(config), jax.random.key(0)
     state = jax.eval_shape(lambda key: training.init(program, key), key)
     parts = (
