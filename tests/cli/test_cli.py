@@ -177,7 +177,10 @@ def test_multihead_has_its_own_depth_and_clip_under_paper():
     assert multihead == dataclasses.replace(fast, agent="multihead")
 
 
-@pytest.mark.parametrize("agent", [one for one in METHODS if one != "maml"])  # its steps are bounded by a trust region
+OFF_POLICY = [name for name, method in METHODS.items() if not method.learner.on_policy]
+
+
+@pytest.mark.parametrize("agent", OFF_POLICY)  # on-policy steps are bounded by a trust region
 def test_the_step_size_of_fast_falls_over_all_of_its_updates(agent):
     for family in ("halfcheetah-vel", "ant-dir", "hopper-vel"):
         config = preset_config(family, "fast", agent)
@@ -201,7 +204,7 @@ SLOWLY = {"ear", "onehot", "onehot-blind", "maml"}
 def test_every_agent_trains(agent, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = [*TINY, "--agent", agent, "--out", "run"]
-    if agent == "maml":  # which reads neither a batch size nor a replay
+    if METHODS[agent].learner.on_policy:  # which reads neither a batch size nor a replay
         words += ["--collect.steps", "6", "--sac.updates", "1"]
         for name in ("--sac.batch-size", "--replay.capacity"):
             del words[words.index(name) : words.index(name) + 2]

@@ -76,7 +76,7 @@ def test_tests_of_all_methods_and_families_hold_for_new_ones_unchanged(extended)
         shutil.copytree(ROOT / name, extended / name, ignore=ignored)
     shutil.copy(ROOT / "pyproject.toml", extended)
     (extended / "experiments" / "records").mkdir()
-    chosen = ("c51", "balance", "every_agent", "refused", "real", "order", "families_and_agents")
+    chosen = ("c51", "balance", "every_agent", "refused", "real", "order")
     places = [f"tests/{place}" for place in ("methods", "envs/test_tasks.py", "cli/test_cli.py", "physics", "agents")]
     words = ["pytest", "-m", "slow or not slow", "-k", " or ".join(chosen), *places]
     done = python(extended, *words, timeout=3000)
