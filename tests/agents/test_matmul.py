@@ -34,7 +34,7 @@ def loss(matmul: Any, kernels: jax.Array, x: jax.Array) -> jax.Array:
 
 def test_numbers_that_bfloat16_holds_are_multiplied_as_float32_would():
     kernels, x = whole(0, CRITICS, INPUTS, OUTPUTS), whole(1, ITEMS, INPUTS)
-    rounded, plain = (jax.value_and_grad(partial(loss, by), (0, 1)) for by in (bfloat16_matmul, jnp.dot))
+    rounded, plain = (jax.jit(jax.value_and_grad(partial(loss, by), (0, 1))) for by in (bfloat16_matmul, jnp.dot))
     for mine, theirs in zip(*map(jax.tree.leaves, (rounded(kernels, x), plain(kernels, x))), strict=True):
         assert mine.dtype == jnp.float32
         np.testing.assert_array_equal(mine, theirs)
@@ -69,13 +69,14 @@ def test_a_batchs_gradient_is_no_sum_of_its_items():
 def test_learning_rounds_and_acting_does_not():
     config = Config("halfcheetah-vel", engine="native", sac=replace(Config("").sac, batch_size=10))
     program = make_program(replace(config, network=replace(config.network, width=8, matmul="bfloat16")))
-    policy = program.agent.init_policy(jax.random.key(0))
+    policy = jax.jit(program.agent.init_policy)(jax.random.key(0))
     code, obs = program.agent.codes(policy)[0], jax.random.normal(jax.random.key(1), (17,))
     plain = make_agent(
         Sizes(17, 6, 10), replace(program.config, network=replace(program.config.network, matmul="float32"))
     )
     agents = (program.agent, program.learner.agent, plain)
-    acted, learnt, same = (agent.distribution(policy, code, obs).mean for agent in agents)
+    means = jax.jit(lambda *given: [agent.distribution(*given).mean for agent in agents])
+    acted, learnt, same = means(policy, code, obs)
     np.testing.assert_array_equal(acted, same)
     assert 0 < np.abs(learnt - acted).max() < 0.02
 

@@ -19,11 +19,12 @@ def test_an_observation_is_the_last_few_in_their_order_and_the_first_fills_in():
     slider, plain = Slider("native"), Slider("native")
     slider.history = 3
     assert (slider.observation_size, plain.observation_size) == (6, 2)
+    step, plain_step = jax.jit(slider.step), jax.jit(plain.step)
     state, single = slider.reset(jax.random.key(0)), plain.reset(jax.random.key(0))
     seen = [single.obs] * 3
     for _ in range(4):
         np.testing.assert_array_equal(state.obs, jnp.concatenate(seen[-3:]))
-        state, single = slider.step(state, jnp.ones(1)), plain.step(single, jnp.ones(1))
+        state, single = step(state, jnp.ones(1)), plain_step(single, jnp.ones(1))
         seen.append(single.obs)
 
 
@@ -49,7 +50,7 @@ def test_the_past_is_read_by_the_policy_and_not_by_critics():
         Sizes(3 * 2, 1, 2), Config("recall", agent="ear-rnn", network=NetworkConfig(8, 1, 1, 1, history=3))
     )
     assert agent.critic
-    policy, critic = agent.init_policy(jax.random.key(0)), agent.critic.init(jax.random.key(1))
+    policy, critic = jax.jit(agent.init_policy)(jax.random.key(0)), jax.jit(agent.critic.init)(jax.random.key(1))
     now = jnp.ones(6)
     past = now.at[0].set(2.0)
     code = agent.codes(policy)[0]
