@@ -84,7 +84,7 @@ def test_one_bad_environment_of_one_task_leaves_the_others_to_the_bit(monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("numbers", "sound"),
+    ("numbers", "finite"),
     [
         ((1.0, [2.0, -3.0]), True),
         ((1.0, [2.0, jnp.nan]), False),
@@ -93,8 +93,8 @@ def test_one_bad_environment_of_one_task_leaves_the_others_to_the_bit(monkeypatc
         ((-2e10,), False),
     ],
 )
-def test_what_is_sound(numbers, sound):
-    assert bool(is_finite(jax.tree.map(jnp.asarray, numbers))) == sound
+def test_numbers_are_finite_and_of_a_sane_size(numbers, finite):
+    assert bool(is_finite(jax.tree.map(jnp.asarray, numbers))) == finite
 
 
 def test_mujocos_warnings_leave_no_file(tmp_path, monkeypatch, capfd):
@@ -112,12 +112,12 @@ def test_a_loss_that_is_not_finite_ends_the_run_and_leaves_the_last_good_step(fi
     """The second task's targets are NaN from the first update after epoch 24."""
     before = leaves(last_state(finished, finished_config()))
     rows = records.read_rows(finished / "metrics.jsonl")
-    target = sac.losses.td_target
+    target = sac.losses.critic_targets
 
-    def poisoned(batch, *arguments):
-        return jnp.where(batch.task == 1, jnp.nan, target(batch, *arguments))
+    def poisoned(critic, predictions, batch, *arguments):
+        return jnp.where(batch.task == 1, jnp.nan, target(critic, predictions, batch, *arguments))
 
-    monkeypatch.setattr(sac.losses, "td_target", poisoned)
+    monkeypatch.setattr(sac.losses, "critic_targets", poisoned)
     with pytest.raises(RunError, match=r"seed 0 is lost: actor_loss is nan after 96 updates \(task vel-3\)"):
         train_run(finished_config(epochs=30), finished)
     report = json.loads((finished / "failure.json").read_text())
