@@ -118,9 +118,9 @@ def test_models_are_gymnasiums():
     """All constants equal those that MuJoCo compiles from the file, but for the margins, which it now adds up."""
     code = """
 import mujoco, numpy as np, os, tempfile
-os.chdir(tempfile.mkdtemp())
 from ear_jax.physics.models import gymnasium_model_path, load_model
 for filename in ("half_cheetah.xml", "ant.xml", "hopper.xml", "walker2d.xml"):
+    os.chdir(tempfile.mkdtemp())
     ours = load_model(filename)
     assert not os.path.exists("MUJOCO_LOG.TXT"), f"loading {filename} complained"
     theirs = mujoco.MjModel.from_xml_path(str(gymnasium_model_path(filename)))
