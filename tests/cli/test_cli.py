@@ -54,7 +54,7 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Runs the installed command in a process of its own."""
     command = [sys.executable, "-m", "ear_jax.cli.main", *words]
     environment = {**os.environ, "EAR_JAX_CACHE": str(cwd / "cache")}
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=900)
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def extended(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def python(directory: Path, *words: str, timeout: float = 300) -> subprocess.CompletedProcess[str]:
+def python(directory: Path, *words: str, timeout: float = 900) -> subprocess.CompletedProcess[str]:
     """Runs a module with the directory's package in place of the installed one."""
     environment = {**os.environ, "PYTHONPATH": str(directory), "EAR_JAX_CACHE": str(directory / "cache")}
     command = [sys.executable, "-m", *words]
