@@ -108,7 +108,8 @@ def test_neighbours_of_directions_wrap():
 
 def test_cem_finds_the_optimum(toy):
     tasks = task_set([toy.program.family.parse_task(text) for text in ("0.3", "-0.9")])
-    document = adapt(toy, tasks, Search(epochs=8, sigma=0.3), episodes=1, seed=0)
+    unmapped = replace(toy, program=replace(toy.program, agent=replace(toy.program.agent, embed=None)))
+    document = adapt(unmapped, tasks, Search(epochs=8, sigma=0.3), episodes=1, seed=0)
     for task, target in zip(document["tasks"], (0.3, -0.9), strict=True):
         assert task["lte"][0] == pytest.approx(target, abs=0.02)
         assert np.linalg.norm(task["lte"]) == pytest.approx(1, abs=1e-5)
