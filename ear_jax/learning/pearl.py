@@ -79,8 +79,8 @@ class PearlLearner(SacLearner):
 
         def objective(critics, policy):
             found = self.posteriors(policy, buffer, draws.context)
-            kl = jnp.sum(jax.vmap(Posterior.kl_to_prior)(found))
             task = self.task_input(found.sample(draws.posterior), batch.task)
+            kl = jnp.sum(jax.vmap(Posterior.kl_to_prior)(found))
             predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
             each = losses.critic_losses(self.critic, predicted, target)
             loss = losses.critic_loss(each) + KL_WEIGHT * self.config.sac.reward_scale**2 * kl
