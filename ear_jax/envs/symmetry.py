@@ -25,7 +25,7 @@ class Signed:
 
 @dataclass(frozen=True)
 class Symmetry:
-    """The maps of a step's parts and of a task by a variant; the mapped step has the same reward for the mapped task."""
+    """Maps by which a variant changes a step and a task; the new step has the old reward under the new task."""
 
     variants: int
     obs: Signed
