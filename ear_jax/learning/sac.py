@@ -284,4 +284,3 @@ class SacLearner:
 def _of_items(temperature: jax.Array, task: jax.Array) -> jax.Array:
     """Returns each item's temperature or log-temperature: the shared scalar, or [n] if each task has its own."""
     return temperature[task] if temperature.ndim else temperature
-

@@ -158,7 +158,7 @@ def test_links_and_strangers_in_a_step_are_refused_unread(steps, tmp_path):
     secret.write_text("not yours")
     (steps / "4" / "state" / "more").symlink_to(secret)
     assert newest(steps)[1] == [
-        f"warning: {steps / '4'} is damaged: state/more is no plain file; going back to epoch 2"
+        f"warning: {steps / '4'} is damaged: state/more is not a regular file; going back to epoch 2"
     ]
     (steps / "4" / "state" / "more").unlink()
     (steps / "4" / "evil.pkl").write_bytes(b"cos\nsystem\n(S'true'\ntR.")
@@ -217,5 +217,5 @@ def test_a_format_from_the_future_is_refused(steps):
     path = steps / "4" / "about.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "format": 99}))
     manifest.write(steps / "4")
-    with pytest.raises(RunError, match="has format 99, and this version of ear_jax reads 1"):
+    with pytest.raises(RunError, match="has format 99, but this version of ear_jax reads 1"):
         newest(steps)
