@@ -15,6 +15,8 @@ MAX_SEED = 2**31  # JAX takes seeds as int32
 
 @dataclass(frozen=True)
 class NetworkConfig:
+    """Sizes, normalisation, initial weights and precision of the networks."""
+
     width: int = 400
     """Units in each hidden layer, except the task encoder's."""
     encoder_layers: int = 2
@@ -51,12 +53,14 @@ class NetworkConfig:
 
 @dataclass(frozen=True)
 class SacConfig:
+    """Updates by SAC."""
+
     lr: float = 3e-4
     """Adam's step size for the policy, each critic and the temperature."""
     lr_decay: int = 0
     """Updates over which the step size falls linearly to a tenth; 0 keeps it constant."""
     discount: float = 0.99
-    """Discount of the next state's value."""
+    """Discount factor γ."""
     pessimism: float = 1.0
     """Aggregation of the two critics: 1 takes the minimum (SAC), 0 the mean, linear between."""
     tau: float = 0.005
@@ -77,16 +81,20 @@ class SacConfig:
 
 @dataclass(frozen=True)
 class MamlConfig:
+    """Updates by MAML."""
+
     inner_lr: float = 0.1
     """Size of the gradient step that adapts the policy to a task."""
     max_divergence: float = 0.01
     """Limit on the mean KL divergence by which an update changes the adapted policies."""
     discount: float = 0.99
-    """Discount of rewards in the advantages."""
+    """Discount factor γ of MAML's returns."""
 
 
 @dataclass(frozen=True)
 class CollectConfig:
+    """Collection of experience."""
+
     envs: int = 1
     """Environments per task."""
     steps: int = 200
@@ -99,6 +107,8 @@ class CollectConfig:
 
 @dataclass(frozen=True)
 class ReplayConfig:
+    """Storage of transitions and the transitions drawn from it."""
+
     capacity: int = 1_000_000
     """Transitions held for all tasks together, split evenly over the tasks."""
     share_experience: bool = False
@@ -111,6 +121,8 @@ class ReplayConfig:
 
 @dataclass(frozen=True)
 class EnvConfig:
+    """Options of single families."""
+
     lateral_weight: float | None = None
     """Ant-Dir: weight of the penalty on lateral speed (the authors' code: 0, the paper's text: 1)."""
     jump_height: Literal["hind_foot", "torso"] | None = None
@@ -119,6 +131,8 @@ class EnvConfig:
 
 @dataclass(frozen=True)
 class LogConfig:
+    """Evaluation and metrics."""
+
     epochs: int = 10
     """Epochs per block; each block ends with an evaluation and a row of metrics per seed."""
     episodes: int = 3
@@ -127,6 +141,8 @@ class LogConfig:
 
 @dataclass(frozen=True)
 class CheckpointConfig:
+    """Checkpoints."""
+
     blocks: int = 5
     """Blocks between checkpoints."""
     replay: bool = True
@@ -142,7 +158,7 @@ class Config:
     preset: str = "fast"
     """paper, fast or smoke, optionally with variants: +no-noise, +no-norm, +task-hidden, +wide, +gathered."""
     agent: str = "ear"
-    """Method by name: the paper's is ear; an unknown name lists all of them."""
+    """Name of the method: ear is the paper's, and an unknown name lists all methods."""
     engine: str = "auto"
     """Physics engine: auto, native (CPU), mjx, or warp (NVIDIA GPUs; pip install 'ear-jax[warp]')."""
     seed: int = 0
@@ -150,9 +166,9 @@ class Config:
     seeds: int = 1
     """Number of seeds trained together: seed, seed + 1, …"""
     epochs: int = 4000
-    """Total number of epochs, counting those before a continuation."""
+    """Total epochs, including those before a continuation."""
     minutes: float | None = None
-    """Total wall time, counting that before a continuation; the run stops at the next block boundary."""
+    """Total minutes of wall time, including those before a continuation; the run stops after that block."""
     tasks: tuple[str, ...] = ()
     """Training tasks by name, such as 2 or vel-2; the paper's by default."""
     env: EnvConfig = field(default_factory=EnvConfig)

@@ -45,7 +45,7 @@ class Family(Env):
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # preset → settings changed for this family
 
-    history: int = 1  # observations the agent sees at once; at a start all are the first one
+    history: int = 1  # observations the agent sees at once; at a start all are the first observation
 
     options: ClassVar[tuple[str, ...]] = ()  # attributes that the constructor may set
 

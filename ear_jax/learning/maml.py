@@ -1,4 +1,4 @@
-"""MAML: an update of the shared parameters improves the policies that one gradient step per task makes of them."""
+"""MAML: updates of shared parameters, so that one gradient step on a task's episodes gives a good policy."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class MamlLearner:
     def check(config: Config, tasks: int) -> None:
         """Raises UsageError unless an epoch is one update and its steps can be halved."""
         if config.sac.updates != 1:
-            raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update an epoch")
+            raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update per epoch")
         if config.collect.steps % 2:
             raise UsageError(
                 f"--collect.steps {config.collect.steps} is odd; maml takes half of them before its gradient step"

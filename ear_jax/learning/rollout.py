@@ -34,9 +34,9 @@ def rollout(
 
     Args:
       batched_env: the environments.
-      act: (obs [rows, envs, obs], noise [rows, envs, act]) → action [rows, envs, act]; zero noise gives the mode.
+      act: (obs [rows, envs, obs], noise [rows, envs, act]) → action [rows, envs, act].
       env_states: the environments' states, [rows, envs].
-      noise: standard normal, [steps, rows, envs, act].
+      noise: standard normal, [steps, rows, envs, act]; zeros give tanh of the policy's mean.
       record: selects the part of each transition to keep. All steps are stacked, so keep little.
 
     Returns:
