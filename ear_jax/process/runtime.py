@@ -37,7 +37,7 @@ def compiler_options(matmul: str = "float32") -> dict[str, Any]:
     On the CPU most time goes to matmuls and MuJoCo, which LLVM does not optimise. A lower optimisation level compiles
     the training step 1.5 to 2 times faster and runs as fast. YNNPACK uses AMX, so it gets the single bfloat16 matmuls
     on processors that have it. For float32 it is up to a seventh slower. Its fusions of a matmul with later operations
-    cost more than they save: an update under `vmap` takes 1.4 times as long with jaxlib 0.10.2, and as long with 0.12.
+    cost more than they save: an update under `vmap` takes 1.4 times as long (jaxlib 0.10.2 and 0.12).
 
     Args:
       matmul: the precision of most of the program's matmuls, as in `network.matmul`.

@@ -45,9 +45,9 @@ def first_difference(wanted: Layout, found: Layout, partly: bool = False) -> str
         if name not in found:
             return f"it has no {name}"
         if found[name] != kind:
-            return f"{name} is {_format(found[name])} there and {_format(kind)} here"
+            return f"{name} is {_format(found[name])}, not {_format(kind)}"
     extra = [] if partly else [name for name in found if name not in wanted]
-    return f"it has {extra[0]}, which is unknown here" if extra else None
+    return f"it has {extra[0]}, which is not expected" if extra else None
 
 
 def _format(kind: list) -> str:

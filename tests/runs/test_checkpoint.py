@@ -68,10 +68,10 @@ def test_a_part_is_read_without_the_rest(state, steps):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"weights": jnp.zeros((2, 4))}, r"weights is float32 \[2, 3\] there and float32 \[2, 4\] here"),
-        ({"weights": jnp.zeros((2, 3), jnp.int32)}, r"weights is float32 \[2, 3\] there and int32 \[2, 3\] here"),
+        ({"weights": jnp.zeros((2, 4))}, r"weights is float32 \[2, 3\], not float32 \[2, 4\]"),
+        ({"weights": jnp.zeros((2, 3), jnp.int32)}, r"weights is float32 \[2, 3\], not int32 \[2, 3\]"),
         ({"more": jnp.zeros(1)}, r"it has no more"),
-        ({"counts": ()}, r"it has counts\.0, which is unknown here"),
+        ({"counts": ()}, r"it has counts\.0, which is not expected"),
     ],
 )
 def test_the_first_difference_is_named(change, complaint, state, steps):

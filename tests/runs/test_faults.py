@@ -251,7 +251,7 @@ def test_a_checkpoint_of_another_family_or_width(setting, value, complaint, refu
 def test_a_checkpoint_whose_arrays_are_anothers(finished):
     """One that says it is this run's, and is not."""
     wide = dataclasses.replace(MORE, network=dataclasses.replace(MORE.network, width=32))
-    with pytest.raises(RunError, match=r"24 does not fit this run: .* is float32 \[2, .*16\] there and .*32\] here"):
+    with pytest.raises(RunError, match=r"24 does not fit this run: .* is float32 \[2, .*16\], not .*32\]"):
         last_state(finished, wide)
 
 
