@@ -43,7 +43,7 @@ def plain(path: Path) -> str:
 
 
 def said_of_the_cheetah() -> list[str]:
-    """README's words about the run whose figures it shows."""
+    """Words of `docs/results.md` about the run whose figures it shows."""
     rows = records.read_rows(CHEETAH / "metrics.jsonl")
 
     def passed(level: float) -> int:
@@ -139,27 +139,28 @@ def ants(*names: str) -> tuple[list[str], str, str]:
 
 
 def said_of_commands() -> list[str]:
-    """README's words about how long commands take."""
+    """Words of `docs/results.md` about how long commands take."""
     rows: dict[str, dict[str, Any]] = {
         row["command"]: row for row in records.read_rows(common.RESULTS / "adaptation.jsonl") if not row["quick"]
     }
     return [
         f"99 each, in {rows['interpolate']['seconds']:.0f} seconds",
-        f"2,000 embeddings rolled out in {rows['map']['seconds']:.0f} seconds",
+        f"2,000 LTEs rolled out in {rows['map']['seconds']:.0f} seconds",
     ]
 
 
 def test_readme_and_results_say_what_the_records_say():
     found = RunIndex("fast")
-    assert documents.read(readme.README, readme.PLACE) == readme.results(found)
-    assert documents.read(readme.DETAILS, readme.PLACE) == readme.details(found)
+    assert documents.read(readme.README, readme.HEADLINE) == readme.headline(found)
+    assert documents.read(readme.README, readme.RESULTS) == readme.results(found)
+    assert documents.read(readme.DETAILS, readme.RESULTS) == readme.details(found)
 
 
 @pytest.mark.parametrize(
     ("said", "document"),
     [
-        (said_of_the_cheetah, "README.md"),
-        (said_of_commands, "README.md"),
+        (said_of_the_cheetah, "docs/results.md"),
+        (said_of_commands, "docs/results.md"),
         (said_of_the_ant, "docs/fast.md"),
         (said_of_the_wide, "docs/fast.md"),
         (said_of_the_ring, "docs/fast.md"),
