@@ -56,8 +56,8 @@ def headline(index: RunIndex) -> str:
     steps = float(np.mean([run.last["env_steps"] for run in runs])) / paper_budget(CHEETAH)[0]
     return (
         f"**HalfCheetah-Vel: for {met} pairs of neighbouring trained speeds, some blend runs at the speed midway** "
-        f"(the paper: {printed(theirs)}). On the trained speeds the policy returns {returns(runs)}, {level} the paper's "
-        f"{printed(paper)}, after {percent(steps, 0)} of the paper's env steps{_time(runs)}."
+        f"(the paper: {printed(theirs)}). On the trained speeds the policy returns {returns(runs)}, {level} the "
+        f"paper's {printed(paper)}, after {percent(steps, 0)} of the paper's env steps{_time(runs)}."
     )
 
 
