@@ -2,7 +2,7 @@
 
     python -m experiments.race
 
-The camera stands still, so that the robots are seen to draw apart. It takes OpenGL and half a minute.
+The camera does not move, so that the robots visibly draw apart. Needs OpenGL and takes half a minute.
 """
 
 from __future__ import annotations

@@ -91,7 +91,9 @@ def _mean_outcome(family: str, target: float, outcomes: dict[int, dict[float, fl
 
 def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: dict[int, dict[float, float]]) -> str:
     """Returns a sentence on the distance of outcomes from the values midway, the paper's and ours."""
-    whole = [[row[target] for target in targets] for row in ours.values() if all(target in row for target in targets)]
+    complete = [
+        [row[target] for target in targets] for row in ours.values() if all(target in row for target in targets)
+    ]
 
     def summary(outcomes: list[list[float]]) -> str:
         miss = np.abs(difference(family, np.array(outcomes), np.array(targets)))
@@ -99,9 +101,9 @@ def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: di
             return f"{number(float(interquartile_mean(miss)), 3)} {unit(family)} (1 seed)"
         return f"{interval(interquartile_mean, miss, digits=3)} {unit(family)} ({len(miss)} seeds)"
 
-    mine = summary(whole) if whole else MISSING
+    distance = summary(complete) if complete else MISSING
     measure = "Distance from the value midway, interquartile mean with its 95 % interval"
-    return f"{measure}: paper {summary(theirs)}; ours {mine}."
+    return f"{measure}: paper {summary(theirs)}; ours {distance}."
 
 
 def met(index: RunIndex) -> list[Block]:

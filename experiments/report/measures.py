@@ -70,7 +70,7 @@ def failed_tasks(runs: Sequence[Run]) -> Count | None:
 def goal_distances(run: Run) -> list[float]:
     """Returns the distance in metres from each goal of Metaworld-Reach to the fingertips' mean position over the second
     half of the episodes; empty without an evaluation."""
-    goals = {task["name"]: task["params"] for task in run.made["tasks"]}
+    goals = {task["name"]: task["params"] for task in run.about["tasks"]}
     return [
         math.dist(*([point[axis] for axis in "xyz"] for point in (goals[task["name"]], task["outcome"])))
         for evaluation in run.of_seed("evaluation", "seeds")
@@ -85,7 +85,7 @@ def gaps(run: Run) -> np.ndarray:
     if not path.is_file() or not pairs:
         return np.zeros(0)
     arrays, _ = safetensors.read(path)
-    rows = {task["name"]: index for index, task in enumerate(run.made["tasks"])}
+    rows = {task["name"]: index for index, task in enumerate(run.about["tasks"])}
     codes = arrays["codes"][run.seed - run.config.seed]
     ends = np.array([[rows[name] for name in pair["between"]] for pair in pairs]).T
     return np.degrees(np.arccos(np.clip(np.sum(codes[ends[0]] * codes[ends[1]], axis=-1), -1, 1)))

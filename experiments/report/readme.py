@@ -62,7 +62,7 @@ def headline(index: RunIndex) -> str:
 
 
 def results(index: RunIndex) -> str:
-    """Returns README's table: EAR on every family, a row a family, beside the paper."""
+    """Returns README's table: EAR beside the paper, with a row for each family."""
     rows = []
     for family in SHOWN:
         runs = index.runs(family)
@@ -148,7 +148,7 @@ def _minutes(runs: Sequence[Run]) -> str:
 
 def _time(runs: Sequence[Run]) -> str:
     """Returns the end of a sentence on the time a seed took by itself; empty where all were trained side by side."""
-    cores = {run.made["machine"]["cores"] for run in runs if run.config.seeds == 1}
+    cores = {run.about["machine"]["cores"] for run in runs if run.config.seeds == 1}
     if not cores:
         return ""
     return f": {_minutes(runs)} minutes a seed on {'one CPU core' if cores == {1} else 'a CPU'}"
@@ -229,4 +229,4 @@ def _note(run: Run) -> str:
     if run.changes:
         settings = ", ".join(f"`{name}` {value}" for name, value in run.changes.items())
         notes.append(f"has settings that differ from today's `{config.preset}`: {settings}")
-    return f"`{run.name}`, of commit {run.made['commit']}, {'; it '.join(notes)}." if notes else ""
+    return f"`{run.name}`, of commit {run.about['commit']}, {'; it '.join(notes)}." if notes else ""

@@ -28,7 +28,7 @@ class Run:
 
     name: str  # of its directory in the records
     seed: int
-    made: dict[str, Any]  # config.json
+    about: dict[str, Any]  # config.json
     rows: list[dict[str, Any]]  # metrics.jsonl, one row for each block of epochs
 
     @property
@@ -58,7 +58,7 @@ class Run:
                 name: keep(value, known[name]) if isinstance(value, dict) else value for name, value in kept.items()
             }
 
-        return _named(from_dict(keep(self.made["config"], known)))
+        return _named(from_dict(keep(self.about["config"], known)))
 
     @property
     def command(self) -> str:
@@ -120,9 +120,9 @@ def _all_runs() -> list[Run]:
     """Returns each seed of each record that has a configuration and at least one row of metrics."""
     runs = []
     for path in sorted(inventory.RECORDS.glob("*/config.json")):
-        made, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
+        about, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
         for seed in sorted({row["seed"] for row in rows}):
-            runs.append(Run(path.parent.name, seed, made, [row for row in rows if row["seed"] == seed]))
+            runs.append(Run(path.parent.name, seed, about, [row for row in rows if row["seed"] == seed]))
     return runs
 
 

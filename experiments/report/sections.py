@@ -59,8 +59,8 @@ def section(experiment: Experiment, index: RunIndex, out: Path) -> Section:
         blocks = FIGURES[experiment.id](experiment.id, index, out) or [f"{lack(index.behind(experiment))}."]
     if not experiment.methods:
         return Section(experiment.id, title(experiment), blocks)
-    made = f"Reproduce it with `python -m experiments reproduce {experiment.id} --preset {index.preset}`."
-    blocks = [made, *blocks, _runs_behind(experiment, index)]
+    how_to = f"Reproduce it with `python -m experiments reproduce {experiment.id} --preset {index.preset}`."
+    blocks = [how_to, *blocks, _runs_behind(experiment, index)]
     return Section(experiment.id, title(experiment), blocks, _lack(experiment, index))
 
 
@@ -94,7 +94,7 @@ def _runs_behind(experiment: Experiment, index: RunIndex) -> Table:
 def _provenance(document: dict[str, Any] | None) -> list[str]:
     """Returns the command, commit and machine of an analysis."""
     if document is None:
-        return ["not made yet", *[MISSING] * 5]
+        return ["not analysed yet", *[MISSING] * 5]
     where = document.get("machine", {}).get("processor", MISSING)
     command = document.get("command", "command not recorded")
     return [command, *[MISSING] * 3, document.get("commit") or MISSING, where]
@@ -104,12 +104,12 @@ def facts(run: Run) -> list[str]:
     """Returns budget, commit and machine of a run."""
     last = run.last
     spent = [count(last["env_steps"]), count(last["updates"]), number(run.minutes)]
-    return [*spent, run.made["commit"] or MISSING, machine(run)]
+    return [*spent, run.about["commit"] or MISSING, machine(run)]
 
 
 def machine(run: Run) -> str:
     """Describes the machine of a run and the number of seeds beside it."""
-    return describe_machine(run.made["machine"], run.config.seeds)
+    return describe_machine(run.about["machine"], run.config.seeds)
 
 
 def describe_machine(where: dict[str, Any], seeds: int) -> str:

@@ -77,7 +77,7 @@ def training_tasks(index: RunIndex) -> list[Block]:
 
 def _tasks(index: RunIndex, family: str, agent: str) -> str:
     for run in index.runs(family, agent):
-        tasks = run.made["tasks"]
+        tasks = run.about["tasks"]
         targets = [task["target"] for task in tasks if task["target"] is not None]
         return f"{len(tasks)} tasks from {min(targets):g} to {max(targets):g}" if targets else f"{len(tasks)} tasks"
     return NO_RUN

@@ -122,7 +122,7 @@ def said_of_the_gathered() -> list[str]:
     return [
         f"the widest gap is {gaps[0]} instead of {gaps[1]}",
         "the return {} instead of {}".format(*(number(measures.mean_return(run)) for run in (gathered, usual))),
-        f"pairs {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
+        f"pairs, {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
         f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
     ]
 
