@@ -106,7 +106,7 @@ TABLES = (
     Experiment("table-4", "2 and 3 m/s interpolated", methods((CHEETAH,), EVALUATION, *MET)),
     Experiment("table-5", "success of interpolation", methods(FAMILIES, INTERPOLATION)),
     Experiment("table-6", "extrapolation", methods((CHEETAH,), *SPEEDS_BEYOND) + methods((ANT,), *DIRECTIONS_BEYOND)),
-    Experiment("table-7", "where episodes end without LTE noise", methods((ANT,), EVALUATION, variants=("+no-noise",))),
+    Experiment("table-7", "length of episodes without LTE noise", methods((ANT,), EVALUATION, variants=("+no-noise",))),
     Experiment("table-8", "failures without LTE noise", methods((ANT,), EVALUATION, variants=("", "+no-noise"))),
     Experiment(
         "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, variants=("", "+no-norm"))
