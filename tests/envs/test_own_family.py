@@ -40,7 +40,7 @@ def test_the_documents_family_is_what_it_says(family_file):
     assert (family.name, family.observation_size, family.action_size) == ("balance-at", 4, 1)
     assert family.training_tasks().targets == [-0.6, -0.3, 0.0, 0.3, 0.6]
     assert family.parse_task("at-0.25").params == {"position": 0.25}
-    with pytest.raises(UsageError, match="name a place in metres"):
+    with pytest.raises(UsageError, match="name a position in metres"):
         family.parse_task("left")
     state = jax.jit(family.reset)(jax.random.key(0))
     after = jax.jit(family.step)(state, jnp.array([0.5]))
