@@ -1,4 +1,4 @@
-"""Critics: what they see, what they predict, and how a prediction is trained. The one place to replace them."""
+"""Critics: their inputs, predictions, targets and losses. Only this file has to change for another kind of critic."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import jax.numpy as jnp
 from ear_jax.agents.networks import Network, Params, mlp
 from ear_jax.config import NetworkConfig
 
-Prediction = Any  # one critic's, for one item: here Q itself, a scalar; of a categorical critic its logits [bins]
-Bellman = Callable[[jax.Array], jax.Array]  # a value of the next state, of any shape → r + γ (value − α log π)
+Prediction = Any  # of one critic for one item: here Q, a scalar; for a categorical critic its logits [bins]
+Bellman = Callable[[jax.Array], jax.Array]  # next state's Q, of any shape → r + γ (Q − α log π)
 
 
 def aggregate_q(values: jax.Array, pessimism: float) -> jax.Array:
     """Aggregates Q over critics, [critics] → scalar: the minimum at 1 (SAC), the mean at 0, linear between.
 
-    Nauman et al. (2024, arXiv 2405.16158) recommend the mean where critics are regularised otherwise.
+    Nauman et al. (2024, arXiv 2405.16158) recommend the mean for critics with other regularisation.
     """
     return pessimism * jnp.min(values, axis=0) + (1 - pessimism) * jnp.mean(values, axis=0)
 
@@ -38,7 +38,7 @@ def squared_error(prediction: jax.Array, target: jax.Array) -> jax.Array:
 class Critic:
     """One critic as functions of one item: obs [obs], action [act], task [tasks] or [code]. Learners train two.
 
-    By default a prediction is Q. A critic that predicts a distribution brings its own `value`, `target` and `loss`.
+    By default a prediction is Q. A critic that predicts a distribution defines its own `value`, `target` and `loss`.
     """
 
     init: Callable[[jax.Array], Params]
@@ -49,13 +49,13 @@ class Critic:
 
 
 def critic_network(inputs: int, outputs: int, config: NetworkConfig) -> Network:
-    """Builds the body of every critic: ReLU layers, with LayerNorm where `config.critic_layer_norm` says so."""
+    """Builds the network that all critics use: ReLU layers, with LayerNorm if `config.critic_layer_norm` is set."""
     widths = (config.width,) * config.critic_layers
     return mlp(inputs, widths, outputs, config, config.critic_layer_norm)
 
 
 def task_critic(obs_size: int, action_size: int, task_size: int, config: NetworkConfig) -> Critic:
-    """Builds a critic that sees observation, action and task, the task as its one-hot or its code."""
+    """Builds a critic of observation, action and task, where the task is a one-hot or a code."""
     network = critic_network(obs_size + action_size + task_size, 1, config)
 
     def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:

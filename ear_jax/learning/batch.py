@@ -1,4 +1,4 @@
-"""What an update learns from: which transitions are drawn, and for which task each is scored."""
+"""Batches: the transitions an update learns from, and the task each is scored for."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ class Noise:
 
 @struct.dataclass
 class Draws:
-    """Everything random about one update, drawn for all updates of an epoch at once, which is cheaper."""
+    """All randomness of one update; drawn for all updates of an epoch at once, which is cheaper."""
 
     source: jax.Array  # int32 [n]: the task whose ring an item comes from
     variant: jax.Array  # int32 [n]: the symmetry applied to it; 0 changes nothing
-    place: jax.Array  # [n] in [0, 1): its place in that ring
-    now: Noise
-    next: Noise
+    place: jax.Array  # [n] in [0, 1): its position in that ring
+    now: Noise  # for the actor's objective
+    next: Noise  # for the critics' target
 
 
 @struct.dataclass
 class Batch:
-    """Transitions scored for the tasks they teach."""
+    """Transitions and their rewards, each for one task."""
 
     obs: jax.Array  # [n, obs]
     action: jax.Array  # [n, act]
     next_obs: jax.Array  # [n, obs]
-    reward: jax.Array  # [n]
+    reward: jax.Array  # [n], scaled
     terminated: jax.Array  # bool [n]
-    task: jax.Array  # int32 [n]
+    task: jax.Array  # int32 [n], the task it is scored for
 
 
 @dataclass(frozen=True)
 class Batches:
-    """Draws batches in which every task has an equal share."""
+    """Draws batches that hold equally many items for every task."""
 
     family: Family
     tasks: TaskParams  # each leaf [tasks]
@@ -59,24 +59,24 @@ class Batches:
 
     @property
     def symmetry(self) -> Symmetry | None:
-        """The family's symmetry, if the settings use it."""
+        """The family's symmetry if `replay.symmetry` is set."""
         return self.family.symmetry if self.config.replay.symmetry else None
 
     def item_tasks(self) -> jax.Array:
-        """Returns the task each item of a batch teaches, int32 [n]."""
+        """Returns the task that each item of a batch is scored for, int32 [n]."""
         count = task_count(self.tasks)
         return jnp.repeat(jnp.arange(count), self.config.sac.batch_size // count)
 
     def draw(self, key: jax.Array, updates: int) -> Draws:
         """Draws the randomness of `updates` updates, each leaf [updates, n, …]."""
         n, settings = self.config.sac.batch_size, self.config.replay
-        keys = jax.random.split(key, 7)  # keys[5] is PEARL's
+        keys = jax.random.split(key, 7)  # PEARL's learner uses keys[5]
         source, variant = jnp.broadcast_to(self.item_tasks(), (updates, n)), jnp.zeros((updates, n), jnp.int32)
         if self.symmetry:
             source, variant = own_by_symmetry(self.symmetry, self.tasks, keys[6], source)
         if settings.share_experience:
-            anyone = jax.random.randint(keys[0], (updates, n), 0, task_count(self.tasks))
-            source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, anyone)
+            shared = jax.random.randint(keys[0], (updates, n), 0, task_count(self.tasks))
+            source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, shared)
         place = jax.random.uniform(keys[2], (updates, n))
         return Draws(source, variant, place, self._noise(keys[3], updates), self._noise(keys[4], updates))
 
@@ -89,7 +89,7 @@ class Batches:
         )
 
     def take(self, buffer: Replay, draws: Draws) -> Batch:
-        """Gathers the transitions drawn and scores each for the task it teaches, whichever task it came from."""
+        """Gathers the drawn transitions and scores each for its item's task, whichever task it was collected in."""
         task = self.item_tasks()
         size = buffer.size[draws.source]
         slot = jnp.minimum((draws.place * size).astype(jnp.int32), size - 1)

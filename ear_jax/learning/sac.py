@@ -1,4 +1,4 @@
-"""Multi-task SAC for any agent: an epoch's collection, its updates, and one update."""
+"""Multi-task SAC for any agent: collection, an epoch's updates and a single update."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ear_jax.agents.critic import Critic, aggregate_q
 from ear_jax.agents.networks import Params
 from ear_jax.config import Config
 from ear_jax.envs import Family
-from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
+from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.errors import UsageError
 from ear_jax.learning import losses, replay
 from ear_jax.learning.batch import Batch, Batches, Draws, Noise
@@ -30,19 +30,19 @@ CRITICS = 2
 
 @struct.dataclass
 class SacState:
-    """Everything that gradients change."""
+    """Parameters, temperature and their optimisers."""
 
     policy: Params
     critics: Params  # each leaf [critics, …]
     target_critics: Params
-    log_temperature: jax.Array  # a scalar, or [tasks] for an agent with a temperature for each task
+    log_temperature: jax.Array  # a scalar, or [tasks] if each task has its own
     policy_optimiser: Any
-    critic_optimiser: Any  # one for each critic, each leaf [critics, …]
+    critic_optimiser: Any  # each leaf [critics, …]
     temperature_optimiser: Any
 
     @property
     def norms(self) -> Metrics:
-        """Global norms; each is not finite as soon as one of its numbers is not."""
+        """Global norms by name; each is finite only if all of its numbers are."""
         return {
             "policy_norm": optax.global_norm(self.policy),
             "critics_norm": optax.global_norm((self.critics, self.target_critics)),
@@ -52,10 +52,10 @@ class SacState:
 
 @struct.dataclass
 class CriticStep:
-    """What training the critics on one batch gives."""
+    """The result of differentiating the critics' loss on one batch."""
 
-    grad: Params
-    policy_grad: Params | None  # of the same loss, where it also teaches part of the policy
+    grad: Params  # each leaf [critics, …]
+    policy_grad: Params | None  # of the same loss, if it also trains part of the policy
     loss: jax.Array  # scalar
     losses: jax.Array  # [critics, n]
     values: jax.Array  # Q [critics, n]
@@ -63,7 +63,7 @@ class CriticStep:
 
 @dataclass(frozen=True)
 class SacLearner:
-    """Trains an agent with critics (`Learner`): the parts of an update that never change."""
+    """Trains an agent with critics (`Learner`)."""
 
     agent: Agent
     family: Family
@@ -74,7 +74,7 @@ class SacLearner:
 
     @staticmethod
     def check(config: Config, tasks: int) -> None:
-        """Raises UsageError for a batch or a replay that does not fit the number of tasks."""
+        """Raises UsageError for a batch that is not divisible by the tasks or a replay below one epoch."""
         if config.sac.batch_size % tasks:
             lower = max(1, config.sac.batch_size // tasks) * tasks
             raise UsageError(
@@ -90,22 +90,27 @@ class SacLearner:
 
     @property
     def task_count(self) -> int:
+        """The number of tasks."""
         return task_count(self.tasks)
 
     @property
     def critic(self) -> Critic:
+        """The agent's critic."""
         assert self.agent.critic, "SAC needs an agent with critics"
         return self.agent.critic
 
     @property
     def batches(self) -> Batches:
+        """The source of batches; a learner that draws other batches overrides it."""
         return Batches(self.family, self.tasks, self.config, self.agent.code_size)
 
     @property
     def optimiser(self) -> optax.GradientTransformation:
+        """The optimiser of policy, critics and temperature; each has its own state."""
         return make_optimiser(self.config.sac)
 
     def init(self, key: jax.Array) -> SacState:
+        """Returns the initial state; target critics start as copies of the critics."""
         key_policy, key_critics = jax.random.split(key)
         policy = self.agent.init_policy(key_policy)
         critics = jax.vmap(self.critic.init)(jax.random.split(key_critics, CRITICS))
@@ -122,7 +127,7 @@ class SacLearner:
         )
 
     def memory(self, env_states: EnvState) -> Replay:
-        """Returns empty rings for what such environments [tasks, envs] go through."""
+        """Returns empty rings for the transitions of environments [tasks, envs]."""
         obs = jnp.zeros(self.family.observation_size)
         outcome = jax.tree.map(lambda leaf: leaf[0, 0], env_states.state.metrics)
         item = Experience(obs, jnp.zeros(self.family.action_size), obs, outcome, jnp.zeros((), bool))
@@ -136,7 +141,7 @@ class SacLearner:
         shape = (settings.steps, self.task_count, settings.envs, self.family.action_size)
         act = act_with(self.agent, state.policy, self.codes_to_act(state.policy, buffer, key))
         noise = jax.random.normal(key, shape)
-        env_states, transitions = rollout(BatchedEnv(self.family), act, env_states, noise, _whole)
+        env_states, transitions = rollout(BatchedEnv(self.family), act, env_states, noise, record=lambda step: step)
         invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
         return env_states, replay.add(buffer, transitions), {"invalid_steps": invalid}
 
@@ -148,8 +153,8 @@ class SacLearner:
         """Makes an epoch's updates.
 
         Returns:
-          The state afterwards and metrics: scalars averaged over the updates, and `finite_updates` [tasks], the updates
-          before the first in which a task's loss was not finite.
+          The next state and metrics: scalars averaged over the updates, and `finite_updates` [tasks], the number of
+          updates before a task's first non-finite loss.
         """
         state, metrics = jax.lax.scan(
             lambda state, draws: self.update(state, buffer, draws),
@@ -160,7 +165,7 @@ class SacLearner:
         return state, {**jax.tree.map(jnp.mean, metrics), "finite_updates": finite}
 
     def observe(self, policy: Params, buffer: Replay) -> Params:
-        """Sets what of the policy comes from replay and not from gradients: the standardiser, if it is on."""
+        """Sets the parts of the policy computed from replay: the standardiser, if `standardise_obs` is set."""
         if not self.config.network.standardise_obs:
             return policy
         return {**policy, "standardiser": replay.standardiser(buffer)}
@@ -170,11 +175,11 @@ class SacLearner:
         return self.batches.draw(key, updates)
 
     def update(self, state: SacState, buffer: Replay, draws: Draws) -> tuple[SacState, Metrics]:
-        """Takes one step of critics, policy and temperature, all differentiated at the state before it.
+        """Takes one gradient step of critics, policy and temperature, all differentiated at the same state.
 
         Args:
           state: the learner's state.
-          buffer: rings that each hold at least one transition.
+          buffer: the rings, each with at least one transition.
           draws: the randomness of this update.
 
         Returns:
@@ -205,14 +210,14 @@ class SacLearner:
         temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
         table = self.codes_to_learn(state.policy, buffer, draws)
         target = self._target(state, batch, table, draws.next)
-        obs = state.policy["standardiser"](batch.obs)  # as critics see it
+        obs = state.policy["standardiser"](batch.obs)  # for the critics; the policy standardises its own
         critics = self.train_critics(state, buffer, draws, batch, obs, target)
 
         def actor_objective(policy):
             codes = self.codes_of_actor(policy, table)
             action, log_prob = losses.sample_policy(policy, self.agent, codes, batch.obs, batch.task, draws.now)
-            seen = losses.predictions(state.critics, self.critic, obs, action, self.task_input(codes, batch.task))
-            value = aggregate_q(losses.q_values(self.critic, seen), self.config.sac.pessimism)
+            predicted = losses.predictions(state.critics, self.critic, obs, action, self.task_input(codes, batch.task))
+            value = aggregate_q(losses.q_values(self.critic, predicted), self.config.sac.pessimism)
             return losses.actor_loss(value, log_prob, temperature), log_prob
 
         def temperature_objective(log_temperature):
@@ -222,7 +227,7 @@ class SacLearner:
         (actor_loss, log_prob), policy_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
         if critics.policy_grad is not None:
             policy_grad = jax.tree.map(jnp.add, policy_grad, critics.policy_grad)
-        loss = jnp.sum(critics.losses, axis=0) + log_prob  # [n], task by task
+        loss = jnp.sum(critics.losses, axis=0) + log_prob  # [n]; not finite if any part of an item's is not
         metrics = {
             "finite": jnp.all(jnp.isfinite(loss).reshape(self.task_count, -1), axis=1),
             "critic_loss": critics.loss,
@@ -240,26 +245,27 @@ class SacLearner:
 
         def objective(critics):
             task = self.task_input(self.agent.codes(state.policy), batch.task)
-            found = losses.predictions(critics, self.critic, obs, batch.action, task)
-            each = losses.critic_losses(self.critic, found, target)
-            return losses.critic_loss(each), (each, losses.q_values(self.critic, found))
+            predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
+            each = losses.critic_losses(self.critic, predicted, target)
+            return losses.critic_loss(each), (each, losses.q_values(self.critic, predicted))
 
         (loss, (each, values)), grad = jax.value_and_grad(objective, has_aux=True)(state.critics)
         return CriticStep(grad, None, loss, each, values)
 
     def codes_to_learn(self, policy: Params, buffer: Replay, draws: Draws) -> jax.Array:
-        """Returns the code table [tasks, code] of an update."""
+        """Returns an update's code table [tasks, code]; no gradient reaches the policy through it."""
         return self.agent.codes(policy)
 
     def codes_of_actor(self, policy: Params, table: jax.Array) -> jax.Array:
-        """Returns the code table of the actor's objective, through which its gradient reaches the LTEs."""
+        """Returns the code table of the actor's objective, whose gradient reaches the task encoder through it."""
         return self.agent.codes(policy)
 
     def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
-        """Returns how critics know the tasks of a batch, [n, ·]: by their one-hots."""
+        """Returns the critics' input about the tasks of a batch, one-hots [n, tasks]."""
         return jax.nn.one_hot(task, self.task_count)
 
     def _target(self, state: SacState, batch: Batch, table: jax.Array, noise: Noise) -> Any:
+        """Returns the critics' target of each item, each leaf [n, …]."""
         action, log_prob = losses.sample_policy(state.policy, self.agent, table, batch.next_obs, batch.task, noise)
         next_obs = state.policy["standardiser"](batch.next_obs)
         task = self.task_input(table, batch.task)
@@ -276,9 +282,5 @@ class SacLearner:
 
 
 def _of_items(temperature: jax.Array, task: jax.Array) -> jax.Array:
-    """Returns each item's temperature, or its logarithm: the shared scalar, or its task's [n]."""
+    """Returns each item's temperature or log-temperature: the shared scalar, or [n] if each task has its own."""
     return temperature[task] if temperature.ndim else temperature
-
-
-def _whole(transition: Transition) -> Transition:
-    return transition

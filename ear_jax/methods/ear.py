@@ -14,7 +14,7 @@ from ear_jax.methods.method import Method, Sizes
 
 
 def ear(sizes: Sizes, config: Config) -> Agent:
-    """Builds EAR-SAC (paper, section 3.1): ψ(φ(s), LTE), both embeddings on unit spheres, critics given the one-hot.
+    """Builds EAR-SAC (paper, section 3.1): ψ(φ(s), LTE), both embeddings on unit spheres; critics see the one-hot.
 
     `sac.lte_noise` is the σ of the noise added to an LTE before it is normalised again (algorithm 1).
     """

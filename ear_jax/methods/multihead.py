@@ -14,11 +14,11 @@ from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_MAML, Me
 
 
 def multihead(sizes: Sizes, config: Config) -> Agent:
-    """Builds MHMT-SAC (paper, section 4.1): a task's code is its one-hot, which picks a head of the policy.
+    """Builds MHMT-SAC (paper, section 4.1): a task's code is its one-hot, which selects a head of the policy.
 
-    Nothing lies between two heads, so any other code is projected to the one-hot of its largest number. The heads are
-    the last layer of one network, side by side; a head that is not picked gets no gradient. `decoder_layers` and
-    `critic_layers` are the depths without the heads.
+    Heads cannot be blended, so any other code is projected to the one-hot of its largest number. The heads together are
+    the last layer of one network; those not selected get no gradient. `decoder_layers` and `critic_layers` are the
+    depths without the heads.
     """
     network, tasks = config.network, sizes.tasks
     actor = mlp(sizes.obs, (network.width,) * network.decoder_layers, tasks * 2 * sizes.action, network)

@@ -92,7 +92,7 @@ def test_of_several_seeds_one_ships(record, folder, capsys):
     assert (card["mean_return"], last["seed"]) == (evaluated, 1)
     assert card["learning_curve"][-1]["mean_return"] == round(last["mean_return"], 2)
     assert main(["publish", str(record), "--policy", "2"]) == 2
-    assert "--policy 2 is none of the run's: it has 2, and the first is 0" in capsys.readouterr().err
+    assert "--policy 2 is out of range: this run has 2 policies, numbered from 0" in capsys.readouterr().err
 
 
 def of_another_seed(record: Path) -> None:
@@ -119,7 +119,7 @@ def measured_before(record: Path) -> None:
         (measured_before, 1, "and metrics.jsonl beside it has no row of that"),
         (evaluated_before, 1, "is of 2 updates, and the policy of "),
         (lambda record: (record / EVALUATION).write_text("{"), 1, "evaluation.json cannot be read"),
-        (lambda record: (record / POLICY).write_bytes(b"x"), 1, "is no whole safetensors file"),
+        (lambda record: (record / POLICY).write_bytes(b"x"), 1, "is not a complete safetensors file"),
         (of_another_seed, 1, "evaluation.json is not of seed 0; evaluate it anew"),
         (of_two_seeds, 2, "holds 2 seeds; an agent that ships has one: name it by --policy"),
     ],

@@ -105,7 +105,7 @@ def test_the_command_makes_a_page_of_a_run(run, capsys):
     [
         ("--places 3", "--places 3 is too small; it must be at least 10"),
         ("--steps 1", "--steps 1 is too small; it must be at least 8"),
-        ("--policy 2", "--policy 2 is none of the run's: it has 2, and the first is 0"),
+        ("--policy 2", "--policy 2 is out of range: this run has 2 policies, numbered from 0"),
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_leaves_nothing(run, words, complaint, capsys):

@@ -291,7 +291,7 @@ def test_without_opengl_one_line_says_what_to_install_and_the_strip_still_comes(
         ("--lte 1 0", "--lte has 2 numbers; this run's LTEs have 3"),
         ("--lte 0 0 0", "has no direction"),
         ("--task 1 --steps 0", "must be at least 1"),
-        ("--task 1 --policy 2", "--policy 2 is none of the run's"),
+        ("--task 1 --policy 2", "--policy 2 is out of range"),
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_leaves_nothing(run, words, complaint, capsys):
