@@ -25,6 +25,12 @@ class NetworkConfig:
     """Hidden layers of the action decoder ψ."""
     critic_layers: int = 4
     """Hidden layers of each critic."""
+    critic_blocks: int = 0
+    """Residual blocks of two layers with LayerNorm (BRO); they replace each critic's hidden layers but the first."""
+    critic_bins: int = 0
+    """Bins of return whose probabilities each critic predicts (C51), within ± sac.return_scale; 0 predicts Q itself."""
+    critic_task: Literal["onehot", "lte", "both"] = "onehot"
+    """Critics' input about the task; an LTE given to critics is also taught by them (BRC)."""
     task_layers: int = 0
     """Hidden layers of the task encoder; the paper has none, only a linear layer."""
     task_width: int = 400
@@ -67,12 +73,18 @@ class SacConfig:
     """Share of the critics mixed into the target critics at each update."""
     batch_size: int = 1280
     """Transitions per update, split evenly over the tasks."""
+    policy_share: int = 1
+    """Policy and temperature learn from every n-th transition of a batch, critics from all."""
     updates: int = 200
     """Updates per epoch."""
     lte_noise: float = 0.02
     """σ of the noise added to the LTE whenever an update samples actions; 0 is the paper's ablation."""
     reward_scale: float = 1.0
     """Factor on rewards in the critics' targets."""
+    return_scale: float = 0.0
+    """Scale each task's rewards so that the largest return seen is this, and clip targets there (BRC); 0 does not."""
+    weight_decay: float = 0.0
+    """Decay of weights, relative to the step size (AdamW); biases and normalisation are left out."""
     initial_temperature: float = 1.0
     """Initial weight of the entropy, which is then learnt."""
     max_grad_norm: float = 10.0
@@ -101,6 +113,8 @@ class CollectConfig:
     """Steps of each environment per epoch; MAML takes half before its gradient step and half after."""
     pretrain_epochs: int = 20
     """Epochs of collection with the untrained policy before the first update."""
+    hold_noise: int = 1
+    """Longest time, in steps, that an action's noise is held; k steps with probability ∝ k⁻² (FlashSAC)."""
     stagger: bool = False
     """Start the episode clocks at random, so that environments do not all reset at once."""
 
@@ -233,7 +247,7 @@ def check(config: Config) -> None:
             raise UsageError(f"{flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
     if config.seed + config.seeds > MAX_SEED:
         raise UsageError(f"--seed {config.seed} is too large; the last seed must be below {MAX_SEED}")
-    for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
+    for name in ("sac.lte_noise", "sac.pessimism", "sac.weight_decay", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
 
@@ -245,11 +259,16 @@ _MINIMA: dict[str, int] = {
     "minutes": 0,
     **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
+    "network.critic_blocks": 0,
+    "network.critic_bins": 0,
     "sac.lr_decay": 0,
     "sac.batch_size": 1,
+    "sac.policy_share": 1,
+    "sac.return_scale": 0,
     "sac.updates": 1,
     "collect.envs": 1,
     "collect.steps": 1,
+    "collect.hold_noise": 1,
     "collect.pretrain_epochs": 1,
     "replay.capacity": 1,
     "log.epochs": 1,

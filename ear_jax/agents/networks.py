@@ -91,6 +91,37 @@ def mlp(
     )
 
 
+class _Residual(nn.Module):
+    width: int
+    blocks: int
+    out: int
+    config: NetworkConfig
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        kernel = _by_fan(1 if self.config.initialiser == "authors" else 0)
+        rounded = None if self.config.matmul == "float32" else _rounded
+
+        def normalised(x: jax.Array) -> jax.Array:
+            return nn.LayerNorm()(nn.Dense(self.width, kernel_init=kernel, dot_general=rounded)(x))
+
+        x = jax.nn.relu(normalised(x))
+        for _ in range(self.blocks):
+            x = x + normalised(jax.nn.relu(normalised(x)))
+        return nn.Dense(self.out, kernel_init=kernel)(x)
+
+
+def residual(size: int, blocks: int, out: int, config: NetworkConfig) -> Network:
+    """Builds BRO's critic network (Nauman et al. 2024, arXiv 2405.16158), from `size` inputs to `out`.
+
+    A layer x ← ReLU(LN(Wx)), then blocks x ← x + LN(W₂ ReLU(LN(W₁x))), all of `config.width`, and a linear layer.
+    """
+    module = _Residual(config.width, blocks, out, config)
+    return Network(
+        lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
+    )
+
+
 def recurrent_layer(size: int, width: int, initialiser: Initialiser) -> Network:
     """Builds Elman's layer hₜ = tanh(W xₜ + U hₜ₋₁ + b), h₀ = 0, U orthogonal: [steps, size] → [steps, width]."""
     kernel = _by_fan(1 if initialiser == "authors" else 0)

@@ -12,9 +12,33 @@ from flax import struct
 from ear_jax.config import Config
 from ear_jax.envs import Family
 from ear_jax.envs.symmetry import Symmetry, own_by_symmetry
-from ear_jax.learning import replay
+from ear_jax.errors import UsageError
+from ear_jax.learning import replay, return_scale
 from ear_jax.learning.replay import Replay
 from ear_jax.tasks import TaskParams, task_count
+
+
+def check_batch(config: Config, tasks: int) -> None:
+    """Raises UsageError for a batch that is not divisible by the tasks or a replay below one epoch."""
+    if config.sac.batch_size % tasks:
+        lower = max(1, config.sac.batch_size // tasks) * tasks
+        raise UsageError(
+            f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
+            f"try {lower} or {lower + tasks}"
+        )
+    epoch = config.collect.envs * config.collect.steps
+    if config.replay.capacity // tasks < epoch:
+        raise UsageError(
+            f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} "
+            f"steps; it must be at least {tasks * epoch}"
+        )
+    if (share := config.sac.batch_size // tasks) % config.sac.policy_share:
+        raise UsageError(
+            f"--sac.policy-share {config.sac.policy_share} does not divide the {share} transitions that a batch "
+            "has of each task"
+        )
+    if config.network.critic_bins and not config.sac.return_scale:
+        raise UsageError("--network.critic-bins needs --sac.return-scale, the largest return that bins reach")
 
 
 @struct.dataclass
@@ -62,6 +86,12 @@ class Batches:
         """The family's symmetry if `replay.symmetry` is set."""
         return self.family.symmetry if self.config.replay.symmetry else None
 
+    def reward_scale(self, buffer: Replay) -> float | jax.Array:
+        """Returns the factor on rewards: `sac.reward_scale`, or with `sac.return_scale` one for each task [tasks]."""
+        if buffer.largest is None:
+            return self.config.sac.reward_scale
+        return return_scale.reward_scale(self.config.sac, buffer.largest)
+
     def item_tasks(self) -> jax.Array:
         """Returns the task that each item of a batch is scored for, int32 [n]."""
         count = task_count(self.tasks)
@@ -97,5 +127,7 @@ class Batches:
         if self.symmetry:
             items = jax.vmap(partial(replay.apply_symmetry, self.symmetry))(draws.variant, items)
         params = jax.tree.map(lambda leaf: leaf[task], self.tasks)
-        reward = self.config.sac.reward_scale * jax.vmap(self.family.reward)(items.outcome, params)
+        scale = self.reward_scale(buffer)
+        scale = scale[task] if isinstance(scale, jax.Array) else scale
+        reward = scale * jax.vmap(self.family.reward)(items.outcome, params)
         return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)

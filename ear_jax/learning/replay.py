@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -33,6 +34,7 @@ class Replay:
 
     rings: Experience  # each leaf [tasks, capacity, …]
     added: jax.Array  # int32 [tasks]
+    largest: jax.Array | None = None  # [tasks]: largest mean reward so far, if rewards are scaled by it
 
     @property
     def size(self) -> jax.Array:
@@ -40,10 +42,10 @@ class Replay:
         return jnp.minimum(self.added, self.rings.terminated.shape[1])
 
 
-def init(like: Experience, tasks: int, capacity: int) -> Replay:
-    """Returns empty rings of `capacity` items each; `like` is one item, arrays or their shapes."""
+def init(like: Experience, tasks: int, capacity: int, scaled: bool = False) -> Replay:
+    """Returns empty rings of `capacity` items each; `like` is one item, `scaled` keeps the largest mean reward."""
     rings = jax.tree.map(lambda leaf: jnp.zeros((tasks, capacity, *leaf.shape), leaf.dtype), like)
-    return Replay(rings, jnp.zeros(tasks, jnp.int32))
+    return Replay(rings, jnp.zeros(tasks, jnp.int32), jnp.zeros(tasks) if scaled else None)
 
 
 def add(replay: Replay, transitions: Transition) -> Replay:
@@ -67,7 +69,7 @@ def _add_to_ring(replay: Replay, items: Experience, valid: jax.Array) -> Replay:
     slot = (replay.added + jnp.cumsum(valid) - 1) % capacity
     slot = jnp.where(valid, slot, capacity)  # writes past the end are dropped
     rings = jax.tree.map(lambda ring, item: ring.at[slot].set(item, mode="drop"), replay.rings, items)
-    return Replay(rings, replay.added + jnp.sum(valid, dtype=jnp.int32))
+    return replace(replay, rings=rings, added=replay.added + jnp.sum(valid, dtype=jnp.int32))
 
 
 def gather(replay: Replay, source: jax.Array, slot: jax.Array) -> Experience:

@@ -16,12 +16,13 @@ from ear_jax.agents.networks import Params
 from ear_jax.config import Config
 from ear_jax.envs import Family
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
-from ear_jax.errors import UsageError
 from ear_jax.learning import losses, replay
-from ear_jax.learning.batch import Batch, Batches, Draws, Noise
+from ear_jax.learning.batch import Batch, Batches, Draws, Noise, check_batch
+from ear_jax.learning.exploration import held_noise
 from ear_jax.learning.learner import Metrics
 from ear_jax.learning.optimiser import make_optimiser
 from ear_jax.learning.replay import Experience, Replay
+from ear_jax.learning.return_scale import largest_reward
 from ear_jax.learning.rollout import act_with, rollout
 from ear_jax.tasks import TaskParams, task_count
 
@@ -74,19 +75,8 @@ class SacLearner:
 
     @staticmethod
     def check(config: Config, tasks: int) -> None:
-        """Raises UsageError for a batch that is not divisible by the tasks or a replay below one epoch."""
-        if config.sac.batch_size % tasks:
-            lower = max(1, config.sac.batch_size // tasks) * tasks
-            raise UsageError(
-                f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
-                f"try {lower} or {lower + tasks}"
-            )
-        epoch = config.collect.envs * config.collect.steps
-        if config.replay.capacity // tasks < epoch:
-            raise UsageError(
-                f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} "
-                f"steps; it must be at least {tasks * epoch}"
-            )
+        """Raises UsageError for a batch or a replay that does not fit the tasks."""
+        check_batch(config, tasks)
 
     @property
     def task_count(self) -> int:
@@ -130,8 +120,9 @@ class SacLearner:
         """Returns empty rings for the transitions of environments [tasks, envs]."""
         obs = jnp.zeros(self.family.observation_size)
         outcome = jax.tree.map(lambda leaf: leaf[0, 0], env_states.state.metrics)
+        scaled = self.config.sac.return_scale > 0
         item = Experience(obs, jnp.zeros(self.family.action_size), obs, outcome, jnp.zeros((), bool))
-        return replay.init(item, self.task_count, self.config.replay.capacity // self.task_count)
+        return replay.init(item, self.task_count, self.config.replay.capacity // self.task_count, scaled)
 
     def collect(
         self, state: SacState, buffer: Replay, env_states: EnvState, key: jax.Array
@@ -140,9 +131,12 @@ class SacLearner:
         settings = self.config.collect
         shape = (settings.steps, self.task_count, settings.envs, self.family.action_size)
         act = act_with(self.agent, state.policy, self.codes_to_act(state.policy, buffer, key))
-        noise = jax.random.normal(key, shape)
+        noise = held_noise(jax.random.normal(key, shape), jax.random.fold_in(key, 2), settings.hold_noise)
         env_states, transitions = rollout(BatchedEnv(self.family), act, env_states, noise, record=lambda step: step)
         invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
+        if buffer.largest is not None:
+            largest = largest_reward(self.family, self.tasks, transitions, buffer.largest)
+            buffer = replace(buffer, largest=largest)
         return env_states, replay.add(buffer, transitions), {"invalid_steps": invalid}
 
     def codes_to_act(self, policy: Params, buffer: Replay, key: jax.Array) -> jax.Array:
@@ -207,7 +201,9 @@ class SacLearner:
     ) -> tuple[tuple[Params, Params, jax.Array], Metrics]:
         """Returns the gradients of policy, critics and log-temperature, and metrics."""
         batch = self.batches.take(buffer, draws)
-        temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
+        share = self.config.sac.policy_share  # items stand in order of tasks, so every n-th has as many of each
+        task, now = batch.task[::share], jax.tree.map(lambda leaf: leaf[::share], draws.now)
+        temperature = _of_items(jnp.exp(state.log_temperature), task)
         table = self.codes_to_learn(state.policy, buffer, draws)
         target = self._target(state, batch, table, draws.next)
         obs = state.policy["standardiser"](batch.obs)  # for the critics; the policy standardises its own
@@ -215,19 +211,22 @@ class SacLearner:
 
         def actor_objective(policy):
             codes = self.codes_of_actor(policy, table)
-            action, log_prob = losses.sample_policy(policy, self.agent, codes, batch.obs, batch.task, draws.now)
-            predicted = losses.predictions(state.critics, self.critic, obs, action, self.task_input(codes, batch.task))
+            action, log_prob = losses.sample_policy(policy, self.agent, codes, batch.obs[::share], task, now)
+            predicted = losses.predictions(
+                state.critics, self.critic, obs[::share], action, self.task_input(table, task)
+            )
             value = aggregate_q(losses.q_values(self.critic, predicted), self.config.sac.pessimism)
             return losses.actor_loss(value, log_prob, temperature), log_prob
 
         def temperature_objective(log_temperature):
             target_entropy = -float(self.family.action_size)
-            return losses.temperature_loss(_of_items(log_temperature, batch.task), log_prob, target_entropy)
+            return losses.temperature_loss(_of_items(log_temperature, task), log_prob, target_entropy)
 
         (actor_loss, log_prob), policy_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
         if critics.policy_grad is not None:
             policy_grad = jax.tree.map(jnp.add, policy_grad, critics.policy_grad)
-        loss = jnp.sum(critics.losses, axis=0) + log_prob  # [n]; not finite if any part of an item's is not
+        each = log_prob if share == 1 else jnp.repeat(log_prob, share)
+        loss = jnp.sum(critics.losses, axis=0) + each  # [n]; not finite if any part of an item's is not
         metrics = {
             "finite": jnp.all(jnp.isfinite(loss).reshape(self.task_count, -1), axis=1),
             "critic_loss": critics.loss,
@@ -241,16 +240,18 @@ class SacLearner:
     def train_critics(
         self, state: SacState, buffer: Replay, draws: Draws, batch: Batch, obs: jax.Array, target: Any
     ) -> CriticStep:
-        """Differentiates the critics' loss on a batch; `obs` [n, obs] is standardised."""
+        """Differentiates the critics' loss on a batch, by LTEs that critics see too; `obs` [n, obs] is standardised."""
 
-        def objective(critics):
-            task = self.task_input(self.agent.codes(state.policy), batch.task)
+        def objective(critics, policy):
+            task = self.task_input(self.agent.codes(policy), batch.task)
             predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
             each = losses.critic_losses(self.critic, predicted, target)
             return losses.critic_loss(each), (each, losses.q_values(self.critic, predicted))
 
-        (loss, (each, values)), grad = jax.value_and_grad(objective, has_aux=True)(state.critics)
-        return CriticStep(grad, None, loss, each, values)
+        taught = (0,) if self.config.network.critic_task == "onehot" else (0, 1)
+        with_grads = jax.value_and_grad(objective, argnums=taught, has_aux=True)
+        (loss, (each, values)), (grad, *policy_grad) = with_grads(state.critics, state.policy)
+        return CriticStep(grad, policy_grad[0] if policy_grad else None, loss, each, values)
 
     def codes_to_learn(self, policy: Params, buffer: Replay, draws: Draws) -> jax.Array:
         """Returns an update's code table [tasks, code]; no gradient reaches the policy through it."""
@@ -261,8 +262,11 @@ class SacLearner:
         return self.agent.codes(policy)
 
     def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
-        """Returns the critics' input about the tasks of a batch, one-hots [n, tasks]."""
-        return jax.nn.one_hot(task, self.task_count)
+        """Returns the critics' input about the tasks of a batch, [n, ·]: one-hots, LTEs or both."""
+        one_hot, kind = jax.nn.one_hot(task, self.task_count), self.config.network.critic_task
+        if kind == "onehot":
+            return one_hot
+        return table[task] if kind == "lte" else jnp.concatenate([one_hot, table[task]], axis=1)
 
     def _target(self, state: SacState, batch: Batch, table: jax.Array, noise: Noise) -> Any:
         """Returns the critics' target of each item, each leaf [n, …]."""

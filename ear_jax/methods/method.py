@@ -16,7 +16,7 @@ from ear_jax.learning.sac import SacLearner
 OF_MAML = ("maml.*",)
 OF_EMBEDDINGS = (
     *("sac.lte_noise", "network.normalise_*"),
-    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers")),
+    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task")),
 )
 OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
 

@@ -33,7 +33,7 @@ def onehot(sizes: Sizes, config: Config) -> Agent:
         codes=lambda policy: jnp.eye(sizes.tasks),
         project=unit_vector,
         distribution=distribution,
-        critic=task_critic(sizes.obs, sizes.action, sizes.tasks, network),
+        critic=task_critic(sizes.obs, sizes.action, sizes.tasks, config),
         on_sphere=True,
     )
 

@@ -50,7 +50,7 @@ def pearl(sizes: Sizes, config: Config) -> Agent:
         codes=lambda policy: jnp.zeros((sizes.tasks, size)),
         project=lambda code: code,
         distribution=distribution,
-        critic=task_critic(sizes.obs, sizes.action, size, network),
+        critic=task_critic(sizes.obs, sizes.action, size, config),
         infer=infer,
     )
 
