@@ -63,6 +63,11 @@ def for_each_seed(trained: Trained, of_seed: Callable[..., Any], seed: int, *arg
     return jax.device_get(of_all(trained.policies, keys, *arguments))
 
 
+def policy_of(trained: Trained, index: int) -> Params:
+    """Returns the policy of one seed, each leaf without the axis of seeds; index 0 is the first seed."""
+    return jax.tree.map(lambda leaf: leaf[index], trained.policies)
+
+
 def pick(trained: Trained, policy: int) -> Trained:
     """The policy of one seed, as of a run of that seed alone.
 

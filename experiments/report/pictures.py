@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ear_jax.figures.compose import draw_gaits
-from ear_jax.figures.lse import draw_signals
+from ear_jax.figures.compose import draw_compose
+from ear_jax.figures.lse import draw_lse
 from ear_jax.figures.map import draw_map
 from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis
 from experiments.report.blocks import Block, Picture, Table
@@ -141,7 +141,7 @@ def composed(id: str, found: RunIndex, out: Path) -> list[Block]:
     caption = "Outcomes along β, means over the second half of the roll-out, and which feet are down"
     runs = found.runs(RUN_JUMP)
     strips = [block for one in COMPOSED_STILLS for block in _strips(runs, one, out)]
-    return strips + [block for one in COMPOSED for block in _drawn(runs, one.name, caption, draw_gaits, out)]
+    return strips + [block for one in COMPOSED for block in _drawn(runs, one.name, caption, draw_compose, out)]
 
 
 def sensory(id: str, found: RunIndex, out: Path) -> list[Block]:
@@ -150,7 +150,7 @@ def sensory(id: str, found: RunIndex, out: Path) -> list[Block]:
         "Raw state and latent state embedding along a gait in their main directions, and their autocorrelations, at "
         "the environment's own step (the paper shortens it)"
     )
-    return _drawn(found.runs(CHEETAH), "lse", caption, draw_signals, out)
+    return _drawn(found.runs(CHEETAH), "lse", caption, draw_lse, out)
 
 
 def sphere(id: str, found: RunIndex, out: Path) -> list[Block]:
