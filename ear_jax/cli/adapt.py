@@ -49,7 +49,6 @@ class AdaptCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(AdaptCommand, words, "adapt")
     _check(command)
     trained = command.load()
@@ -88,7 +87,7 @@ def _check_for(trained: Trained, command: AdaptCommand, search: Search, tasks: T
     family, agent = trained.program.family, trained.program.config.agent
     untargeted = [task.name for task in tasks.tasks if task.target is None]
     if command.zero_shot and untargeted:
-        raise UsageError(f"--zero-shot needs tasks that command a {family.commanded}; {untargeted[0]} does not")
+        raise UsageError(f"--zero-shot needs tasks with a target {family.commanded}; {untargeted[0]} has none")
     if command.save is not None:
         _check_save(command.save, trained)
     if trained.program.agent.finds_codes and search != Search(search.epochs):

@@ -32,7 +32,6 @@ class ComposeCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(ComposeCommand, words, "compose")
     check_least(command, steps=2)
     if not command.beta:

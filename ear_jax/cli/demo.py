@@ -50,16 +50,14 @@ class DemoCommand:
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(DemoCommand, words, "demo")
     enable_cache()
     if command.pretrained is None:
         _train(command)
         return
     if len(command.pretrained) > 1:
-        raise UsageError(
-            f"--pretrained {' '.join(command.pretrained)} names {len(command.pretrained)} agents; name one"
-        )
+        named = " ".join(command.pretrained)
+        raise UsageError(f"--pretrained {named} names {len(command.pretrained)} agents; name one")
     if command.out != OUT:
         raise UsageError("--out applies only to training; --pretrained writes to runs/pretrained-NAME")
     name = (command.pretrained or (default_agent(),))[0].removeprefix(pretrained.PREFIX)
@@ -114,7 +112,7 @@ def show(trained: Trained, card: dict[str, Any]) -> dict[str, Any]:
     family = trained.program.family
     pair = best_pair(adjacent_pairs(trained_ends(trained), family), card)
     figures = records.folder(trained.directory / "figures")
-    with phase(f"searching the best blend of {pair[0].name} and {pair[1].name}"):
+    with phase(f"searching for the best blend of {pair[0].name} and {pair[1].name}"):
         best = interpolate(trained, [pair], None, SEARCH_EPISODES, seed=0)["pairs"][0]
     betas = (1.0, best["beta"], 0.0)
     with phase("playing both tasks and the blend in fresh episodes"):
@@ -138,13 +136,16 @@ def show(trained: Trained, card: dict[str, Any]) -> dict[str, Any]:
 
 
 def best_pair(pairs: list[Pair], card: dict[str, Any]) -> Pair:
-    """Returns the pair whose larger error on the card is smallest, or the first if the card has no evaluation.
+    """Returns the pair whose larger error on the card is smallest, or the first pair if the card has no evaluation.
+
+    A task that the agent does not meet counts as infinitely far off.
 
     Raises:
       UsageError: there are no pairs.
     """
     if not pairs:
-        raise UsageError(f"{card['name']} has no two tasks to blend; see `ear render pretrained:{card['name']} --help`")
+        other = f"`ear render pretrained:{card['name']} --task X` shows one task"
+        raise UsageError(f"{card['name']} has no two tasks to blend; {other}")
     errors = {task["name"]: task["error"] for task in card["tasks"] if task.get("met")}
     return min(pairs, key=lambda pair: max(errors.get(end.name, float("inf")) for end in pair))
 

@@ -22,7 +22,6 @@ class DoctorCommand:
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(DoctorCommand, words, "doctor")
     versions = records.versions()
     problems = known_bad(versions, sys.version_info[:2])

@@ -32,7 +32,6 @@ class EvaluateCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(EvaluateCommand, words, "evaluate")
     check_least(command, episodes=1)
     trained = command.load()

@@ -26,7 +26,6 @@ class ExploreCommand(OnPolicy):
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(ExploreCommand, words, "explore")
     check_least(command, places=10, steps=8)
     trained = command.load()

@@ -33,7 +33,6 @@ class ExportCommand:
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(ExportCommand, words, "export")
     if command.file.suffix != SUFFIX:
         raise UsageError(f"{command.file} must end in {SUFFIX}")

@@ -28,7 +28,6 @@ class FamiliesCommand:
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(FamiliesCommand, words, "families")
     families, lacking = [], {}
     for name in command.names or (*FAMILIES, *offered_families()):

@@ -46,7 +46,6 @@ class InterpolateCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(InterpolateCommand, words, "interpolate")
     if command.all_pairs == (command.between is not None):
         raise UsageError("give either --between A B or --all-pairs")
@@ -79,9 +78,8 @@ def find_pair(trained: Trained, first: str, second: str) -> Pair:
     ends = find_end(trained, first), find_end(trained, second)
     for end in ends:
         if end.target is None:
-            raise UsageError(
-                f"{end.name!r} commands no {trained.program.family.commanded}; `ear compose` blends such tasks"
-            )
+            quantity = trained.program.family.commanded
+            raise UsageError(f"{end.name!r} has no target {quantity} to interpolate; `ear compose` blends such tasks")
     if ends[0].name == ends[1].name:
         raise UsageError(f"--between {first} {second} names one task twice")
     return ends

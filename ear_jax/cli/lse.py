@@ -22,7 +22,6 @@ class LseCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(LseCommand, words, "lse")
     trained = command.load()
     names = trained.program.tasks.names

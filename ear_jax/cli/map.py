@@ -24,7 +24,6 @@ class MapCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(MapCommand, words, "map")
     check_least(command, places=10, episodes=1)
     trained = command.load()

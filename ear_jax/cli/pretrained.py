@@ -21,7 +21,6 @@ class PretrainedCommand:
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(PretrainedCommand, words, "pretrained")
     cards = [pretrained.card(name) for name in pretrained.names()]
     if command.json:

@@ -61,7 +61,6 @@ class Shot:
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     command = parse(RenderCommand, words, "render")
     _check(command)
     trained = command.load()

@@ -34,7 +34,6 @@ class TrainCommand:
 
 
 def main(words: list[str]) -> None:
-    """Runs the command."""
     enable_cache()
     command = read(words)
     check_effect(command.config)

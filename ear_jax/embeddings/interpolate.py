@@ -97,7 +97,7 @@ def play_blends(
       UsageError: no pairs, or `arc` for codes that do not lie on a sphere.
     """
     if not pairs:
-        raise UsageError(f"{trained.name} has no two tasks that command a {trained.program.family.commanded}")
+        raise UsageError(f"{trained.name} has no two tasks with a target {trained.program.family.commanded}")
     program, agent = trained.program, trained.program.agent
     firsts, seconds = (jnp.stack([end.codes for end in ends], axis=1) for ends in zip(*pairs, strict=True))
     over_betas = jax.vmap(between(agent, along), in_axes=(None, None, 0))

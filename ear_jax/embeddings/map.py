@@ -1,4 +1,4 @@
-"""Maps of the LTE sphere: the achievement of LTEs all over it, and from those the best LTE for any target."""
+"""Maps of the LTE sphere: what the robot achieves all over it, and from a map the best LTE for any target."""
 
 from __future__ import annotations
 

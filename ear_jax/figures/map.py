@@ -14,7 +14,7 @@ from ear_jax.figures.style import STYLE
 from ear_jax.runs.records import folder
 
 VIEWS = ((20.0, 30.0), (20.0, 210.0))  # elevation and azimuth of the two sides of the sphere, degrees
-BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # labels
+BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # box behind a label
 
 
 def draw_map(figures: Path, document: dict[str, Any]) -> list[Path]:
@@ -69,7 +69,7 @@ def _draw_sphere(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -
 
 
 def _across(codes: np.ndarray, toward: np.ndarray) -> np.ndarray:
-    """Returns for each of a chain of codes [n, 3] the unit vector across the chain as seen in a view, for its label."""
+    """Returns unit vectors [n, 3] that lead from codes [n, 3] to their labels, across the line of codes in a view."""
     sideways = np.cross(toward, np.diff(codes, axis=0, append=codes[:1]))
     return sideways / np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-9)
 

@@ -21,7 +21,7 @@ SHORTEST, LONGEST = 1.0, 1.6  # length of a segment in seconds, if the roll-out 
 
 
 def play_sphere(trained: Trained, policy: int, places: int, steps: int, seed: int) -> tuple[dict[str, Any], list[Loop]]:
-    """Plays codes spread over the sphere and returns the arguments of `figures.explore.write_page`, all but the title.
+    """Plays codes spread over the sphere and returns the page's data and loops, for `figures.explore.write_page`.
 
     Args:
       trained: the run.
@@ -60,11 +60,11 @@ def loop(model: mujoco.MjModel, trajectory: Trajectory, every: int, seconds: flo
       seconds: the same in seconds.
     """
     locomotion = locomotion_of(model)
-    seen = limbs(model, trajectory.qpos[len(trajectory.qpos) // 2 :: every])
-    ground = seen.centres * (1, 1, 0)  # [pictures, 3]
+    robot = limbs(model, trajectory.qpos[len(trajectory.qpos) // 2 :: every])
+    ground = robot.centres * (1, 1, 0)  # [pictures, 3]
     if locomotion == "fixed":
         ground = np.zeros_like(ground)
-    shown = project(seen.ends - ground[:, None, None], FILM_ELEVATION[locomotion])
+    shown = project(robot.ends - ground[:, None, None], FILM_ELEVATION[locomotion])
     if trajectory.fell or len(shown) < 3:
         return Loop(shown, np.concatenate([ground, ground[-1:]])[:, :2], trajectory.fell)
     least = min(round(SHORTEST / seconds), len(shown) // 2)
@@ -73,7 +73,10 @@ def loop(model: mujoco.MjModel, trajectory: Trajectory, every: int, seconds: flo
 
 
 def _seam(shown: np.ndarray, least: int, most: int) -> tuple[int, int]:
-    """Returns the two of [pictures, …], `least` to `most` apart, that are most alike, each with its next picture."""
+    """Returns the indices of two of [pictures, …], `least` to `most` apart, at which the loop closes best.
+
+    There the two pictures, and the pictures after them, differ least.
+    """
     flat = shown.reshape(len(shown), -1)
     moments = np.arange(len(flat) - 1)  # the last picture has no next one
     gap = moments[None, :] - moments[:, None]

@@ -29,8 +29,8 @@ WIDTH, HEIGHT, ROW_HEIGHT = 480, 270, 160  # pixels of a film, and of each row i
 FIELD_OF_VIEW = 45.0  # degrees, from top to bottom
 FRAME_SECONDS = 0.04  # per picture of a film, unless an environment step is longer
 SPACING = 1.4  # robot lengths from one pose of a strip to the next, at the median speed of its tracks
-LONGEST = 12  # width of a strip in robot sizes, unless its flags are further apart
-SQUATTEST = 3.0  # least ratio of width to height of a panel, if the robot runs along x
+MAX_WIDTH = 12  # width of a strip in robot sizes, unless its flags are further apart
+MIN_ASPECT = 3.0  # least ratio of width to height of a panel, if the robot runs along x
 MARGIN = 0.25  # margin around the poses in robot sizes
 POLE = 0.7  # height of a flag in robot lengths, if the robot roams
 PALE = 0.6  # share of the ground colour in the first pose of a strip, which fades to 0 in the last
@@ -61,15 +61,15 @@ def film(
       RunError: there is no OpenGL that renders off screen.
     """
     width, height = WIDTH, HEIGHT if len(trajectories) == 1 else ROW_HEIGHT
-    seen = [limbs(model, trajectory.qpos) for trajectory in trajectories]
-    length, top = max(robot.length for robot in seen), max(robot.top for robot in seen)
+    robots = [limbs(model, trajectory.qpos) for trajectory in trajectories]
+    length, top = max(robot.length for robot in robots), max(robot.top for robot in robots)
     high = max(1.5 * top, 2.2 * length * height / width)  # metres from bottom to top of a picture
     distance = high / (2 * math.tan(math.radians(FIELD_OF_VIEW) / 2))
     locomotion = locomotion_of(model)
 
     def picture(canvas: Canvas, row: int, moment: int) -> np.ndarray:
         last = len(trajectories[row].qpos) - 1
-        step, centres = min(moment, last), seen[row].centres
+        step, centres = min(moment, last), robots[row].centres
         x, y, _ = centres[0 if locomotion == "fixed" else step]
         travelled = "" if locomotion == "fixed" else f" · {np.linalg.norm((centres[step] - centres[0])[:2]):.1f} m"
         fell = " · fell" if trajectories[row].fell and moment >= last else ""
@@ -123,11 +123,11 @@ def arrange(model: mujoco.MjModel, trajectories: Sequence[Trajectory], labels: S
     """
     locomotion = locomotion_of(model)
     elevation = STRIP_ELEVATION[locomotion]
-    seen = [limbs(model, trajectory.qpos) for trajectory in trajectories]
-    bounds = _bounds(seen, elevation, locomotion)
-    length, steps = max(robot.length for robot in seen), max(len(robot.ends) - 1 for robot in seen)
-    travelled = [np.linalg.norm((robot.centres[-1] - robot.centres[0])[:2]) / len(robot.ends) for robot in seen]
-    pace = np.median(travelled)  # metres per environment step
+    robots = [limbs(model, trajectory.qpos) for trajectory in trajectories]
+    bounds = _bounds(robots, elevation, locomotion)
+    length, steps = max(robot.length for robot in robots), max(len(robot.ends) - 1 for robot in robots)
+    paces = [np.linalg.norm((robot.centres[-1] - robot.centres[0])[:2]) / len(robot.ends) for robot in robots]
+    pace = np.median(paces)  # metres per environment step
     every = int(np.clip(math.ceil(SPACING * length / max(pace, 1e-9)), 1, max(steps // 3, 1)))
 
     def track(row: int, robot: Limbs) -> tuple[Track, np.ndarray]:
@@ -141,7 +141,7 @@ def arrange(model: mujoco.MjModel, trajectories: Sequence[Trajectory], labels: S
         colours = _fading(COLOURS[0 if locomotion == "runs" else row % len(COLOURS)], len(moments))
         return Track(labels[row], colours, shown[moments], robot.radii, flag), trajectories[row].qpos[moments]
 
-    tracks, poses = zip(*(track(row, robot) for row, robot in enumerate(seen)), strict=True)
+    tracks, poses = zip(*(track(row, robot) for row, robot in enumerate(robots)), strict=True)
     return Strip(model, tracks, poses, bounds, every * dt)
 
 
@@ -162,23 +162,23 @@ def photograph(strip: Strip) -> list[Panel]:
     return [replace(panel, picture=picture) for panel, picture in zip(strip.panels, pictures, strict=True)]
 
 
-def _bounds(seen: Sequence[Limbs], elevation: float, locomotion: Locomotion) -> Bounds:
+def _bounds(robots: Sequence[Limbs], elevation: float, locomotion: Locomotion) -> Bounds:
     """Chooses the part of the plane that a strip shows: all poses, or only the end of a long run along x."""
-    size = max(max(robot.length, robot.top) for robot in seen)
-    points = np.concatenate([project(robot.ends, elevation).reshape(-1, 2) for robot in seen])
+    size = max(max(robot.length, robot.top) for robot in robots)
+    points = np.concatenate([project(robot.ends, elevation).reshape(-1, 2) for robot in robots])
     (left, low), (right, high) = (map(float, corner) for corner in (points.min(0), points.max(0)))
     if locomotion == "roams":
-        high = max(high, *(float(project(robot.centres[-1], elevation)[1]) + POLE * size for robot in seen))
+        high = max(high, *(float(project(robot.centres[-1], elevation)[1]) + POLE * size for robot in robots))
     elif locomotion == "runs":
         low = 0.0  # the ground, up to its visible edge
-        lasts = [robot.ends[-1, ..., 0] for robot in seen]
-        room = max(LONGEST * size, float(np.ptp(lasts)) + 2 * size)
-        if sum(robot.centres[-1, 0] - robot.centres[0, 0] for robot in seen) >= 0:
+        lasts = [robot.ends[-1, ..., 0] for robot in robots]
+        room = max(MAX_WIDTH * size, float(np.ptp(lasts)) + 2 * size)
+        if sum(robot.centres[-1, 0] - robot.centres[0, 0] for robot in robots) >= 0:
             left = max(left, right - room)
         else:
             right = min(right, left + room)
     left, right, low, high = left - MARGIN * size, right + MARGIN * size, low - MARGIN * size, high + MARGIN * size
-    missing = max(0.0, (SQUATTEST if locomotion == "runs" else 1.0) * (high - low) - (right - left))
+    missing = max(0.0, (MIN_ASPECT if locomotion == "runs" else 1.0) * (high - low) - (right - left))
     return Bounds(left - missing / 2, right + missing / 2, low, high, 0.0 if locomotion == "runs" else high)
 
 

@@ -26,7 +26,7 @@ WITHOUT_GL = "pictures of the robot need OpenGL; install libegl1 and libgl1-mesa
 
 @dataclass(frozen=True)
 class Limbs:
-    """A robot in some poses as stick figures: each limb is a line with the radius of a capsule."""
+    """A robot in some poses as stick figures: each limb is a capsule, the two ends of its axis and its radius."""
 
     ends: np.ndarray  # [poses, limbs, 2, 3] metres
     radii: np.ndarray  # [limbs] metres
@@ -50,7 +50,7 @@ class Limbs:
 def limbs(model: mujoco.MjModel, qpos: np.ndarray) -> Limbs:
     """Computes the limbs in poses [poses, nq].
 
-    Each shape becomes the capsule along the longest side of its bounding box; a capsule stays the same.
+    Each shape becomes the capsule that fits its bounding box, along the longest side; a capsule stays itself.
 
     Raises:
       UsageError: the model has no shapes that move.
@@ -85,7 +85,7 @@ def _robot(model: mujoco.MjModel) -> np.ndarray:
 
 
 def project(points: np.ndarray, elevation: float) -> np.ndarray:
-    """Projects points [..., 3] along y and down by `elevation` radians: [..., 2], metres to the right and up."""
+    """Projects points [..., 3] for a view along y and down by `elevation` radians: [..., 2], metres right and up."""
     up = points[..., 1] * math.sin(elevation) + points[..., 2] * math.cos(elevation)
     return np.stack([points[..., 0], up], axis=-1)
 
@@ -174,7 +174,7 @@ def _tint(geoms: Sequence[Any], tint: np.ndarray) -> None:
 
 
 def _open_gl(width: int, height: int) -> Any:
-    """Opens the OpenGL that MUJOCO_GL or the system selects; the default on Linux is EGL or OSMesa, off screen."""
+    """Opens OpenGL by MUJOCO_GL, else EGL or OSMesa, which need no screen; MuJoCo's own choice outside Linux."""
     if os.environ.get("MUJOCO_GL") or sys.platform != "linux":
         return mujoco.GLContext(width, height)
     library = next((name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)), None)

@@ -190,7 +190,7 @@ def test_codes_lie_on_a_sphere_where_they_are_unit_vectors_and_stay_so():
 
 
 def test_without_two_tasks_that_command_something_there_is_nothing_to_blend(toy):
-    with pytest.raises(UsageError, match="toy has no two tasks that command a"):
+    with pytest.raises(UsageError, match="toy has no two tasks with a target action"):
         play_blends(toy, [], (0.5,), 1, 0)
 
 
