@@ -60,8 +60,10 @@ def main(words: list[str]) -> None:
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
     _check_for(trained, command, search, tasks)
     each = search.epochs * episodes_an_epoch(trained.program, search)
-    slow = "mapping the LTE sphere" if command.zero_shot else f"adapting to {len(tasks)} tasks, {each} episodes each"
-    with phase(slow):
+    activity = (
+        "mapping the LTE sphere" if command.zero_shot else f"adapting to {len(tasks)} tasks, {each} episodes each"
+    )
+    with phase(activity):
         document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
     if command.save is not None:
         codes = [task["lte"] for task in document["tasks"]]

@@ -75,7 +75,7 @@ def between(agent: Agent, along: str) -> Callable[[jax.Array, jax.Array, jax.Arr
 def blend_codes(
     agent: Agent, first: ArrayLike, second: ArrayLike, betas: Sequence[float], along: str = "chord"
 ) -> jax.Array:
-    """Returns the codes [betas, code] between two codes [code]; arguments and errors otherwise as of `between`."""
+    """Returns the codes [betas, code] between two codes [code]; other arguments and errors as in `between`."""
     interpolated, ends = between(agent, along), (jnp.asarray(first), jnp.asarray(second))
     return jnp.stack([interpolated(*ends, jnp.float32(beta)) for beta in betas])
 
@@ -157,14 +157,14 @@ def _score_pair(family: Family, first: End, second: End, reached: np.ndarray, ta
     betas = np.array(BETAS)
     gap = family.difference(second.target, first.target)
     middle = first.target + gap / 2
-    wanted = middle if target is None else target
-    best = int(np.argmin(np.abs(family.difference(reached, wanted))))
+    aim = middle if target is None else target
+    best = int(np.argmin(np.abs(family.difference(reached, aim))))
     inside = (betas > MID_TASK_RANGE[0]) & (betas < MID_TASK_RANGE[1])
     halfway = reached[BETAS.index(0.5)]
     share = family.difference(halfway, first.target) / gap  # 0 at the first task, 1 at the second
     return {
         "between": [first.name, second.name],
-        "target": wanted,
+        "target": aim,
         "beta": BETAS[best],
         "outcome": float(reached[best]),
         "mid_task": bool((np.abs(family.difference(reached, middle))[inside] <= REACHED * abs(gap)).any()),

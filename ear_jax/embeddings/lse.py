@@ -52,7 +52,7 @@ def lse(trained: Trained, task: str, seed: int) -> dict[str, Any]:
 
 
 def record_signals(trained: Trained, task: str, seed: int) -> list[dict[str, Signal]]:
-    """Returns for every seed's policy the signals `state` and `lse`; arguments and errors as of `lse`."""
+    """Returns for every seed's policy the signals `state` and `lse`; arguments and errors as in `lse`."""
     program, agent = trained.program, trained.program.agent
     if agent.embed is None:
         raise UsageError(f"agent {program.config.agent} has no latent state embedding")

@@ -80,10 +80,10 @@ def lookup(run: Path, name: str, policy: str) -> dict[str, Any]:
     """
     known = saved(run)
     if not known:
-        raise UsageError(f"no LTE {name!r}: {run} has none (`ear adapt RUN --target X --save NAME` saves one)")
+        raise UsageError(f"unknown LTE {name!r}: {run} has none (`ear adapt RUN --target X --save NAME` saves one)")
     if name not in known:
         raise unknown("LTE", name, known)
     if known[name].get("policy", policy) != policy:  # files of earlier versions do not name the policy
-        again = f"`ear adapt RUN --target {known[name]['task']} --save {name}`"
-        raise UsageError(f"LTE {name!r} was found for another policy, such as one before more training; repeat {again}")
+        again = f"run `ear adapt RUN --target {known[name]['task']} --save {name}` again"
+        raise UsageError(f"LTE {name!r} was found for another policy, for example before more training; {again}")
     return known[name]

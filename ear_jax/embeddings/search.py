@@ -56,7 +56,7 @@ def reevaluate(
 def find_codes(
     program: Program, policy: Params, tasks: TaskParams, key: jax.Array, search: Search, episodes: int
 ) -> Progress:
-    """Finds a code for each task by the agent's own means; arguments as of `search_codes`."""
+    """Finds a code for each task by the agent's own means; arguments as in `search_codes`."""
     if program.agent.tuned:
         return tune_codes(program, policy, tasks, key, search.epochs, episodes)
     if program.agent.infer:
@@ -74,7 +74,7 @@ def episodes_an_epoch(program: Program, search: Search) -> int:
 def search_codes(
     program: Program, policy: Params, tasks: TaskParams, key: jax.Array, search: Search, episodes: int
 ) -> Progress:
-    """Searches a code for each task by the cross-entropy method, with one roll-out per epoch for all tasks together.
+    """Searches by the cross-entropy method for a code for each task, with one roll-out per epoch for all candidates.
 
     Args:
       program, policy: one seed's trained policy.

@@ -32,11 +32,11 @@ def draw_compose(figures: Path, document: dict[str, Any]) -> list[Path]:
 
 def _draw_seed(path: Path, blends: list[dict[str, Any]], document: dict[str, Any]) -> Path:
     quantity = document["commanded"]
-    shown = [name for name in blends[0]["outcome"] if name != "squared_action"]
-    columns = len(shown) + bool(document["feet"])
+    names = [name for name in blends[0]["outcome"] if name != "squared_action"]
+    columns = len(names) + bool(document["feet"])
     with plt.rc_context(STYLE):
         figure, grid = plt.subplots(1, columns, figsize=(3.2 * columns, 2.9), layout="constrained", squeeze=False)
-        for axes, name in zip(grid[0], shown, strict=False):
+        for axes, name in zip(grid[0], names, strict=False):
             unit = quantity["unit"] if name == quantity["outcome"] else UNITS.get(name, "")
             values = [blend["outcome"][name] for blend in blends]
             axes.plot([blend["beta"] for blend in blends], values, marker="o", markersize=4, color=COLOURS[0])
