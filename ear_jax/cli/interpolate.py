@@ -22,7 +22,7 @@ from ear_jax.runs.trained import Trained
 
 HEADINGS = {"mid_task": "mid", "one_to_one": "1:1", "one_to_one_outcome": "at β = ½"}
 MEASURES = {
-    "mid_task": "mid (a blend meets the middle)",
+    "mid_task": "mid (a blend at β from 0.1 to 0.9 meets the middle)",
     "one_to_one": "1:1 (the blend at β = ½ lies between the tasks)",
 }
 
