@@ -64,6 +64,11 @@ def for_each_seed(trained: Trained, of_seed: Callable[..., Any], seed: int, *arg
     return jax.device_get(for_all(trained.policies, keys, *arguments))
 
 
+def policy_of(trained: Trained, index: int) -> Params:
+    """Returns the policy of one seed, each leaf without the axis of seeds; index 0 is the first seed."""
+    return jax.tree.map(lambda leaf: leaf[index], trained.policies)
+
+
 def pick(trained: Trained, policy: int) -> Trained:
     """Selects the policy of one seed, as if that seed had been trained alone.
 

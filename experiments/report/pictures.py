@@ -10,8 +10,8 @@ from typing import Any
 
 from ear_jax.embeddings.map import PLACES
 from ear_jax.embeddings.search import Search
-from ear_jax.figures.compose import draw_gaits
-from ear_jax.figures.lse import draw_signals
+from ear_jax.figures.compose import draw_compose
+from ear_jax.figures.lse import draw_lse
 from ear_jax.figures.map import draw_map
 from ear_jax.presets import preset_config
 from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis
@@ -148,7 +148,7 @@ def composed(id: str, index: RunIndex, out: Path) -> list[Block]:
     caption = "Outcomes along β, means over the second half of the roll-out, and the feet on the ground"
     runs = index.runs(RUN_JUMP)
     strips = [block for analysis in COMPOSED_STILLS for block in _strips(runs, analysis, out)]
-    return strips + [block for analysis in COMPOSED for block in _drawn(runs, analysis.name, caption, draw_gaits, out)]
+    return strips + [block for analysis in COMPOSED for block in _drawn(runs, analysis.name, caption, draw_compose, out)]
 
 
 def sensory(id: str, index: RunIndex, out: Path) -> list[Block]:
@@ -157,7 +157,7 @@ def sensory(id: str, index: RunIndex, out: Path) -> list[Block]:
         "Raw state and LSE along a gait in their principal components, with their autocorrelations, at the "
         "environment's own step (the paper shortens it)"
     )
-    return _drawn(index.runs(CHEETAH), "lse", caption, draw_signals, out)
+    return _drawn(index.runs(CHEETAH), "lse", caption, draw_lse, out)
 
 
 def sphere(id: str, index: RunIndex, out: Path) -> list[Block]:

@@ -215,8 +215,8 @@ def test_the_demo_takes_neighbours_that_are_met():
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("demo --pretrained a b", "are several; name one agent"),
-        ("demo --pretrained hopper-vel --out x", "--out is for what is trained"),
+        ("demo --pretrained a b", "names 2 agents; name one"),
+        ("demo --pretrained hopper-vel --out x", "--out applies only to training"),
         ("pretrained hopper-vel", "Unrecognized options: hopper-vel"),
         ("evaluate hopper-vel", "`ear pretrained` lists agents that ship"),
     ],

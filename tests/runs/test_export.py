@@ -110,7 +110,7 @@ def test_an_array_that_points_outside_of_the_file_is_refused(tmp_path):
 
 def test_export_overwrites_nothing(finished, exported, capsys):
     assert main(["export", str(finished), str(exported)]) == 2
-    assert "is there already; name another file" in capsys.readouterr().err
+    assert "already exists; name another file" in capsys.readouterr().err
     assert main(["export", str(finished), "policy.pt"]) == 2
     assert "must end in .safetensors" in capsys.readouterr().err
 
