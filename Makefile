@@ -18,9 +18,9 @@ setup: .venv/.made
 demo: setup
 	$(BIN)/ear demo
 
-# Most of a test is compiling, on one core: two files at a time, and each file's tests share what one has compiled.
+# Most of a test is compiling. Two processes; tests that share what is compiled run in one of them (tests/conftest.py).
 test: setup
-	$(BIN)/pytest --numprocesses 2 --dist loadfile
+	$(BIN)/pytest --numprocesses 2 --dist loadgroup --no-loadscope-reorder
 
 test-slow: setup
 	$(BIN)/pytest -m slow

@@ -1,4 +1,4 @@
-"""Shared by all tests: the machine's caches stay out of them, and small things to train."""
+"""Fixtures of all tests, which use none of the machine's caches, and the order in which they run."""
 
 from __future__ import annotations
 
@@ -16,25 +16,45 @@ from ear_jax.config import Config
 from ear_jax.runs import loop
 from ear_jax.runs.loop import train_run
 from experiments import inventory
-from tests.helpers.runs import _compile_once, finished_config, tiny_config
+from tests.helpers.quick import compile_quickly
+from tests.helpers.runs import compile_once, finished_config, tiny_config
+
+# Files whose tests share what is compiled or trained, so that one process runs them all; each other file is a group of
+# its own. The groups that take longest come first, so that `--numprocesses 2` ends in both processes at about the same
+# time.
+GROUPS = (
+    ("bandit", ("methods", "learning", "agents", "house/test_walkthrough")),
+    ("run", ("runs", "rendering", "experiments/test_experiments")),
+    *((file, (file,)) for file in ("cli/test_cli", "envs/test_families", "embeddings/test_embeddings")),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts tests in groups, the long ones first."""
+    rank = {}
+    for item in items:
+        file = item.path.relative_to(Path(__file__).parent).with_suffix("").as_posix()
+        groups = (number for number, (_, places) in enumerate(GROUPS) if file.startswith(places))
+        rank[item] = next(groups, len(GROUPS))
+        item.add_marker(pytest.mark.xdist_group(GROUPS[rank[item]][0] if rank[item] < len(GROUPS) else file))
+    items.sort(key=rank.__getitem__)
 
 
 @pytest.fixture(autouse=True, scope="session")
 def _compiling(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Compiled programs are shared between the tests of a session, and with nothing else.
+    """Compiled programs are shared between the tests of a process, and with nothing else.
 
-    What tests themselves ask of JAX runs once or twice, so XLA spends no time on making that fast. Programs of the
-    package keep the level that they ask for (`runtime.compiler_options`), without LLVM's most expensive passes; those
-    that tests start in a process of their own are compiled as a user's.
+    What they compute runs once or twice, so XLA spends no time on making it fast. Processes that tests start compile
+    as a user's do, but for those started as `tests.helpers.quick`.
     """
-    jax.config.update("jax_disable_most_optimizations", True)
+    compile_quickly()
     jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("xla")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with no records yet; those made there are all that experiments know of."""
+    """A working directory without records; experiments see only those that a test makes there."""
     monkeypatch.setattr(inventory, "RECORDS", tmp_path / "records")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -53,29 +73,29 @@ def run_directory(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs of one configuration share one compiled program, which is most of what a small run costs."""
-    monkeypatch.setattr(loop, "compile_program", _compile_once)
+    """Runs of one configuration share one compiled program; compiling is most of the cost of a small run."""
+    monkeypatch.setattr(loop, "compile_program", compile_once)
 
 
 @pytest.fixture(scope="session")
 def finished_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that was trained once for all tests, which none may change."""
+    """A run that is trained once for all tests, and that none may change."""
     directory = tmp_path_factory.mktemp("finished") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "compile_program", _compile_once)
+        patch.setattr(loop, "compile_program", compile_once)
         train_run(finished_config(), directory)
     return directory
 
 
 @pytest.fixture
 def finished(finished_once: Path, tmp_path: Path) -> Path:
-    """A copy of it."""
+    """A copy of the finished run, which a test may change."""
     return Path(shutil.copytree(finished_once, tmp_path / "finished"))
 
 
 @pytest.fixture
 def small_files() -> Iterator[Callable[[int], AbstractContextManager[None]]]:
-    """While entered, no file may grow beyond so many bytes, as on a disk that is full; goes with `stray_writes`."""
+    """Limits the size of files, in bytes, while entered, as a full disk would; goes with `stray_writes`."""
 
     @contextmanager
     def limited(size: int) -> Iterator[None]:
@@ -87,4 +107,4 @@ def small_files() -> Iterator[Callable[[int], AbstractContextManager[None]]]:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
     yield limited
-    gc.collect()  # so that they are found here, and not in another test
+    gc.collect()  # so that stray writes are reported here, and not in another test

@@ -148,7 +148,8 @@ def composed(id: str, index: RunIndex, out: Path) -> list[Block]:
     caption = "Outcomes along β, means over the second half of the roll-out, and the feet on the ground"
     runs = index.runs(RUN_JUMP)
     strips = [block for analysis in COMPOSED_STILLS for block in _strips(runs, analysis, out)]
-    return strips + [block for analysis in COMPOSED for block in _drawn(runs, analysis.name, caption, draw_compose, out)]
+    figures = [block for analysis in COMPOSED for block in _drawn(runs, analysis.name, caption, draw_compose, out)]
+    return strips + figures
 
 
 def sensory(id: str, index: RunIndex, out: Path) -> list[Block]:

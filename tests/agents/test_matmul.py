@@ -1,4 +1,4 @@
-"""Matmuls of bfloat16 numbers: what is rounded, and that a batch's gradient is one product."""
+"""Matmuls of bfloat16 numbers: their rounding, and that a batch's gradient is one product."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def whole(key: int, *shape: int) -> jax.Array:
 
 
 def loss(matmul: Any, kernels: jax.Array, x: jax.Array) -> jax.Array:
-    """Of all critics and items, each item's product weighed by a number of its own; kernels [critics, in, out]."""
+    """Sums over critics and items, each item's product weighed by a number of its own; kernels [critics, in, out]."""
     of_items = jax.vmap(jax.vmap(matmul, (0, None)), (None, 0))(x, kernels)
     return jnp.sum(of_items * whole(2, CRITICS, ITEMS, OUTPUTS))
 
 
 def test_numbers_that_bfloat16_holds_are_multiplied_as_float32_would():
     kernels, x = whole(0, CRITICS, INPUTS, OUTPUTS), whole(1, ITEMS, INPUTS)
-    rounded, plain = (jax.value_and_grad(partial(loss, by), (0, 1)) for by in (bfloat16_matmul, jnp.dot))
+    rounded, plain = (jax.jit(jax.value_and_grad(partial(loss, by), (0, 1))) for by in (bfloat16_matmul, jnp.dot))
     for mine, theirs in zip(*map(jax.tree.leaves, (rounded(kernels, x), plain(kernels, x))), strict=True):
         assert mine.dtype == jnp.float32
         np.testing.assert_array_equal(mine, theirs)
@@ -53,13 +53,13 @@ def test_factors_are_rounded_to_eight_bits_and_sums_are_not():
 
 
 def shapes(jaxpr: Jaxpr) -> set[tuple[int, ...]]:
-    """Of everything that a traced program computes."""
+    """Returns the shapes of everything that a traced program computes."""
     found = {tuple(out.aval.shape) for equation in jaxpr.eqns for out in equation.outvars}
     return found.union(*(shapes(inner) for equation in jaxpr.eqns for inner in jaxprs_in_params(equation.params)))
 
 
 def test_a_batchs_gradient_is_no_sum_of_its_items():
-    """Which would be a matrix for every item, where one product has their sum."""
+    """Such a sum holds a matrix for every item, where one product gives their sum at once."""
     gradient = jax.make_jaxpr(jax.grad(partial(loss, bfloat16_matmul), (0, 1)))
     found = shapes(gradient(whole(0, CRITICS, INPUTS, OUTPUTS), whole(1, ITEMS, INPUTS)).jaxpr)
     assert (CRITICS, INPUTS, OUTPUTS) in found
@@ -69,20 +69,21 @@ def test_a_batchs_gradient_is_no_sum_of_its_items():
 def test_learning_rounds_and_acting_does_not():
     config = Config("halfcheetah-vel", engine="native", sac=replace(Config("").sac, batch_size=10))
     program = make_program(replace(config, network=replace(config.network, width=8, matmul="bfloat16")))
-    policy = program.agent.init_policy(jax.random.key(0))
+    policy = jax.jit(program.agent.init_policy)(jax.random.key(0))
     code, obs = program.agent.codes(policy)[0], jax.random.normal(jax.random.key(1), (17,))
     plain = make_agent(
         Sizes(17, 6, 10), replace(program.config, network=replace(program.config.network, matmul="float32"))
     )
     agents = (program.agent, program.learner.agent, plain)
-    acted, learnt, same = (agent.distribution(policy, code, obs).mean for agent in agents)
+    means = jax.jit(lambda *given: [agent.distribution(*given).mean for agent in agents])
+    acted, learnt, same = means(policy, code, obs)
     np.testing.assert_array_equal(acted, same)
     assert 0 < np.abs(learnt - acted).max() < 0.02
 
 
 @pytest.mark.parametrize("agent", ["ear", "ear-rnn", "multihead", "onehot", "pearl"])
 def test_an_update_is_nearly_float32s(agent: str):
-    """The step of each network that Adam is given, its first moment, points the same way."""
+    """The gradient of each network, Adam's first moment, points the same way."""
     program = bandit_program(agent)
     state = begin(program)
     network = replace(program.config.network, matmul="bfloat16")

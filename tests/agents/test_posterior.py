@@ -21,7 +21,7 @@ def test_the_product_of_two_normal_distributions():
     np.testing.assert_allclose(turned.mean, posterior.mean, rtol=1e-6)
 
 
-def test_what_is_not_valid_tells_nothing_and_nothing_leaves_the_prior():
+def test_invalid_steps_count_for_nothing_and_without_steps_the_prior_stays():
     means, variances = jnp.array([[1.0], [4.0]]), jnp.array([[1.0], [2.0]])
     posterior = product(means, variances, jnp.array([False, True]))
     assert (float(posterior.mean[0]), float(posterior.variance[0])) == pytest.approx((4.0, 2.0))
@@ -44,7 +44,7 @@ def test_a_code_is_drawn_in_standard_deviations_from_the_mean():
 
 @pytest.mark.parametrize(("added", "newest"), [(0, None), (2, [1, 1, 0, 0]), (5, [4, 3, 2, 2]), (9, [8, 7, 6, 6])])
 def test_the_newest_items_of_a_ring(added, newest):
-    """Rings of 4 into which 0, 1, 2, … went, each taking the place of the oldest; a window of 3."""
+    """Rings of 4 into which 0, 1, 2, … went, each replacing the oldest; a window of 3."""
     ring = np.zeros(4)
     for item in range(added):
         ring[item % 4] = item

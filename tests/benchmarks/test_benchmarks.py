@@ -1,4 +1,4 @@
-"""What benchmarks conclude from rows, on rows with known answers, and that they run. Their timings are no tests."""
+"""Conclusions of benchmarks from rows with known answers, and a small run of each. Their timings are not tested."""
 
 from __future__ import annotations
 

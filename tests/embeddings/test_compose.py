@@ -1,4 +1,4 @@
-"""Composition: outcomes along β on an agent that does what its code says, and feet where they must be."""
+"""Composition: outcomes along β for an agent that obeys its code, and contacts of feet with the ground."""
 
 from __future__ import annotations
 

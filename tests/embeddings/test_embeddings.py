@@ -1,4 +1,4 @@
-"""The code table as an interface, on an agent that does just what its code says: its action is the first number."""
+"""Blends, searches and maps of codes, for an agent whose action is the first number of its code."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_extrapolation_follows_the_formula(toy):
     np.testing.assert_allclose(achieved[0, 0], b / np.sqrt(b**2 + 3), atol=1e-4)
 
 
-def test_a_pair_without_a_way_between_fails_both_measures(toy):
+def test_a_pair_without_a_value_between_fails_both_measures(toy):
     stuck = Program(toy.program.config, toy.program.family, toy.program.tasks, obedient(CODES[:1].repeat(2, 0)), None)
     trained = Trained("stuck", stuck, jnp.zeros((1, 1)), 0)
     found = interpolate(trained, [tuple(trained_ends(trained))], None, 1, 0)
@@ -128,7 +128,7 @@ def test_cem_asks_the_elites_again_and_keeps_the_best():
 
 
 def test_failures_are_episodes_that_end_before_their_time(toy):
-    """A bandit is over after its first step; the slider stays short of x = 2 for its four."""
+    """A bandit ends after its first step; the slider stays short of x = 2 for all four of its steps."""
     slider = Slider("native")
     whole = Program(Config("slider"), slider, slider.training_tasks(), obedient(CODES), None)  # type: ignore[arg-type]
     for trained, failures in ((toy, 3), (Trained("whole", whole, jnp.zeros((1, 1)), 0), 0)):
@@ -141,17 +141,17 @@ def test_betas_are_the_papers():
     assert (BETAS[0], BETAS[49], BETAS[-1], len(BETAS)) == (0.01, 0.5, 0.99, 99)
 
 
-@pytest.mark.parametrize("target", [0.3, -0.7])
-def test_a_map_of_the_sphere_answers_without_search(toy, target):
-    tasks = task_set([toy.program.family.parse_task(str(target))])
+def test_a_map_of_the_sphere_answers_without_search(toy):
+    targets = (0.3, -0.7)
+    tasks = task_set([toy.program.family.parse_task(str(target)) for target in targets])
     document = adapt(toy, tasks, None, episodes=1, seed=0)
-    (task,) = document["tasks"]
     assert document["env_steps"] == 0
-    assert task["epochs"] == []
-    assert task["zero_shot"]["lte"] == task["lte"]
-    assert task["lte"][0] == pytest.approx(target, abs=0.03)
-    assert task["zero_shot"]["error"] == pytest.approx(abs(task["lte"][0] - target), abs=1e-3)
-    assert task["zero_shot"]["predicted"] == pytest.approx(target, abs=0.02)
+    for task, target in zip(document["tasks"], targets, strict=True):
+        assert task["epochs"] == []
+        assert task["zero_shot"]["lte"] == task["lte"]
+        assert task["lte"][0] == pytest.approx(target, abs=0.03)
+        assert task["zero_shot"]["error"] == pytest.approx(abs(task["lte"][0] - target), abs=1e-3)
+        assert task["zero_shot"]["predicted"] == pytest.approx(target, abs=0.02)
 
 
 def test_a_map_refuses_what_no_code_reaches(toy):

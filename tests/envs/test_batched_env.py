@@ -21,7 +21,7 @@ def slider() -> Slider:
 
 
 def roll(family, env_states, actions):
-    """Open-loop actions [steps, rows, envs, act]; every transition."""
+    """Plays open-loop actions [steps, rows, envs, act] and returns every transition."""
     return jax.jit(lambda c, a: rollout(BatchedEnv(family), lambda obs, noise: noise, c, a, lambda t: t))(
         env_states, actions
     )
@@ -96,7 +96,7 @@ def test_family_is_a_brax_environment():
 
 
 def test_play_counts_the_first_episode_only(slider):
-    """With μ = 0 the mass stands: each step's reward is −0.25, for 4 steps; one that fails at once gets one."""
+    """With μ = 0 the mass stands still: each of the 4 steps has the reward −0.25."""
     agent = type("Still", (), {"distribution": staticmethod(lambda policy, code, obs: still)})
     from ear_jax.agents.tanh_gaussian import Gaussian
 

@@ -1,4 +1,4 @@
-"""The locomotion families against an independent transcription of the environments' tables in NumPy and plain MuJoCo.
+"""The locomotion families against an independent transcription of the paper's tables in NumPy and plain MuJoCo.
 
 Here velocity is (x_after − x_before)/dt in float64, of the same float32 start and action.
 """
@@ -46,7 +46,7 @@ def expected_observation(name: str, qpos: np.ndarray, qvel: np.ndarray) -> np.nd
 
 
 def expected_rewards(name: str, options: dict, steps: SimpleNamespace) -> np.ndarray:
-    """[rows, tasks]"""
+    """Returns rewards [rows, tasks]."""
     dt = ROBOTS[name][2]
     v = (steps.qpos_after[:, :2] - steps.qpos[:, :2]) / dt
     vx, vy, cost = v[:, :1], v[:, 1:], np.sum(np.square(steps.action, dtype=np.float64), axis=1, keepdims=True)
@@ -68,7 +68,7 @@ def expected_rewards(name: str, options: dict, steps: SimpleNamespace) -> np.nda
 
 
 def margin_to_failure(name: str, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-    """How far the nearest bound is, negative past it."""
+    """Returns the distance to the nearest bound, negative past it."""
     if name == "ant-dir":
         return np.minimum(qpos[:, 2] - 0.2, 1.0 - qpos[:, 2])
     if name.startswith("halfcheetah"):
@@ -85,7 +85,7 @@ def margin_to_failure(name: str, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarr
 
 @cache
 def plain_steps(filename: str, substeps: int) -> SimpleNamespace:
-    """States along roll-outs of random actions, float32, half of them from a tilted start, and a step from each."""
+    """Returns float32 states along random roll-outs, half of them from a tilted start, and a step from each."""
     model, rng = load_model(filename), np.random.default_rng(0)
     data = mujoco.MjData(model)
     rows: list[tuple[np.ndarray, ...]] = []
@@ -134,7 +134,7 @@ def _tilt(filename: str, data: mujoco.MjData, rng: np.random.Generator) -> None:
 
 
 def step_all(family: Family, steps: SimpleNamespace):
-    """One environment step of every state; row i is of training task i, around the clock."""
+    """Makes one environment step from every state; row i has training task i modulo their number."""
     tasks = family.training_tasks()
     rows = jnp.arange(len(steps.qpos)) % len(tasks)
     physics = Physics(steps.qpos, steps.qvel, steps.warmstart)
@@ -153,7 +153,7 @@ def step_all(family: Family, steps: SimpleNamespace):
 
 @every_case
 def test_step_equals_the_tables(name, options):
-    """What is float32 on the way costs, a row: half a bit of each position over dt, and a few of each term's size.
+    """Float32 costs half a bit of each position over dt, and a few bits of each term's size, in every row.
 
     Measured: observations equal to the last bit; rewards at worst 0.4 of that bound.
     """
@@ -189,8 +189,8 @@ def test_step_equals_the_tables(name, options):
 def test_mjx_step_equals_plain_mujoco_within_measured_tolerance(name):
     """The worst coordinate of each of 2,000 states after one environment step.
 
-    The ant's error is no rounding: where a leg stands within 30° of upright, MJX turns the friction pyramid of its
-    contact otherwise than C MuJoCo does (its `plane_capsule` takes the world's y axis once the leg's axis projected on
+    The ant's error is not rounding: where a leg stands within 30° of upright, MJX turns the friction pyramid of its
+    contact differently from C MuJoCo (its `plane_capsule` takes the world's y axis once the leg's axis projected on
     the floor is shorter than 0.5, C MuJoCo does not). With that one line of MJX changed, and limits (6, 12), the 99th
     percentile over 2,000 states falls from 1.2e-2 to 1.1e-6 in qpos.
     """
@@ -235,7 +235,7 @@ def test_mjx_step_equals_plain_mujoco_within_measured_tolerance(name):
     ],
 )
 def test_bounds_of_failure(name, changes, failed):
-    """A state upright at rest but for some entries of (qpos, qvel)."""
+    """The robot is upright and at rest but for some entries of (qpos, qvel)."""
     family = make_family(name, "native")
     state = np.concatenate([family.model.qpos0, np.zeros(family.model.nv)]).astype(np.float32)
     for index, value in changes.items():
@@ -281,12 +281,12 @@ def test_passes_what_a_users_family_must(name):
 
 @every_family
 def test_is_a_brax_environment_by_name_and_restarts_elsewhere(name):
-    """Under Brax's own wrappers: two whole episodes after the first, each from starts of its own."""
+    """Under Brax's own wrappers, each of two further episodes has new starts."""
     from brax.envs import get_environment
     from brax.envs.wrappers.training import wrap
 
     env = wrap(get_environment("ear_" + name.replace("-", "_"), engine="native"), episode_length=3)
-    state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 4))  # Brax knows no typed keys
+    state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 4))  # Brax takes legacy keys only
     assert type(env.unwrapped) is FAMILIES[name]
     step, starts = jax.jit(env.step), [np.asarray(state.obs)]
     for _ in range(6):

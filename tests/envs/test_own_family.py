@@ -1,4 +1,4 @@
-"""A family of a user's own: the document's example exactly as printed, and the faults that are refused in one line."""
+"""A user's own family: the document's example as printed, and the faults that are refused in one line."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "your-own-family.md"
 
 @pytest.fixture
 def family_file(tmp_path: Path) -> Path:
-    """The document's only Python block."""
+    """Writes the document's only Python block to a file."""
     blocks = re.findall(r"^```python\n(.*?)^```$", DOCUMENT.read_text(), re.MULTILINE | re.DOTALL)
     assert len(blocks) == 1
     file = tmp_path / "my_family.py"
@@ -60,14 +60,14 @@ def test_the_documents_family_trains_and_writes_metrics(family_file, run_directo
 
 
 def test_the_documents_command_is_right(family_file, monkeypatch):
-    """As a shell would run it, up to the configuration that reaches the trainer."""
+    """The command is followed up to the configuration that reaches the trainer."""
     words = re.search(r"^ear (train \S+:\S+ .*)$", DOCUMENT.read_text(), re.MULTILINE)[1].split()
     asked = []
     monkeypatch.setattr("ear_jax.cli.train.train_run", lambda config, directory: asked.append(config))
     monkeypatch.chdir(family_file.parent)
     assert main(words) == 0
     assert (asked[0].family, asked[0].preset) == ("my_family.py:BalanceAt", "smoke")
-    assert len(loop.train.make_program(asked[0]).tasks) == 5
+    assert len(loop.training.make_program(asked[0]).tasks) == 5
 
 
 def test_the_documents_family_can_be_checked_alone(family_file, monkeypatch, capsys):
@@ -95,7 +95,7 @@ def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
     point = EntryPoint("broken", "nosuchpackage:Mine", "ear_jax.families")
     monkeypatch.setattr("ear_jax.envs.registry.entry_points", lambda group: [point])
     assert main(["families"]) == 0
-    assert "broken is not available here: family 'broken' cannot be loaded" in capsys.readouterr().out
+    assert "broken is not to be had here: family 'broken' cannot be loaded" in capsys.readouterr().out
     assert main(["families", "broken"]) == 2
     line = "ear: family 'broken' cannot be loaded from nosuchpackage:Mine: ModuleNotFoundError: No module named"
     assert capsys.readouterr().err.startswith(line)
@@ -105,7 +105,7 @@ def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
     assert find_family("ant-dir") is FAMILIES["ant-dir"], "another's fault is not ours"
 
 
-METHODS = "training_tasks = parse_task = initial = observe = outcome = reward = print"
+PARTS = "training_tasks = parse_task = initial = observe = outcome = reward = print"
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ METHODS = "training_tasks = parse_task = initial = observe = outcome = reward = 
         ("nowhere.py:Mine", None, r"no file nowhere\.py; .* path/to/file\.py:ClassName"),
         ("mine.txt:Mine", "", r"mine\.txt is not a Python file"),
         ("mine.py:Mine", "x = 1", r"unknown family 'Mine' \(there are: none\)"),
-        ("mine.py:Mien", "from probe import Bandit as Mine", r"did you mean 'Mine'"),
+        ("mine.py:Mien", "from tests.helpers.probe import Bandit as Mine", r"did you mean 'Mine'"),
         ("mine.py:Mine", "1 / 0", r"mine\.py cannot be run: ZeroDivisionError: division by zero \(mine\.py, line 1"),
         ("mine.py:Mine", "class Mine(:", r"mine\.py cannot be run: SyntaxError"),
         ("mine.py:Mine", "import nosuchpackage", r"cannot be run: ModuleNotFoundError: .*nosuchpackage"),
@@ -125,8 +125,8 @@ METHODS = "training_tasks = parse_task = initial = observe = outcome = reward = 
             "class Mine(Family): reward = observe = print",
             r"define initial\(\), outcome\(\), parse_task",
         ),
-        ("mine.py:Mine", f"class Mine(Family): {METHODS}", r"mine\.py:Mine does not define name; it must be a non-"),
-        ("mine.py:Mine", f"class Mine(Family): name = 'm'; {METHODS}", "does not define substeps; it must be a whole"),
+        ("mine.py:Mine", f"class Mine(Family): {PARTS}", r"mine\.py:Mine does not define name; it must be a non-"),
+        ("mine.py:Mine", f"class Mine(Family): name = 'm'; {PARTS}", "does not define substeps; it must be a whole"),
         ("mine.py:Mine", "class Mine(Bandit): name = ''", r"mine\.py:Mine: name must be a non-empty string, but is ''"),
         ("mine.py:Mine", "class Mine(Bandit): substeps = 0.5", r"substeps must be a whole number of .*, but is 0\.5"),
         ("mine.py:Mine", "class Mine(Bandit): mjx_solver = 4", r"mjx_solver must be two whole numbers .*, but is 4"),
@@ -142,7 +142,7 @@ METHODS = "training_tasks = parse_task = initial = observe = outcome = reward = 
 def test_a_file_that_holds_no_family(word, text, complaint, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     if text is not None:
-        imports = "from ear_jax.envs import Family; from probe import Bandit\n"
+        imports = "from ear_jax.envs import Family; from tests.helpers.probe import Bandit\n"
         Path(word.partition(":")[0]).write_text(imports * text.startswith("class Mine(") + text)
     with pytest.raises(UsageError, match=complaint):
         make_family(word, "native")
@@ -153,7 +153,7 @@ def test_a_file_that_holds_no_family(word, text, complaint, tmp_path, monkeypatc
 
 
 def tasks_of(*params: dict[str, object]):
-    """A method that returns tasks of these parameters."""
+    """Returns a method that makes tasks of these parameters."""
     return lambda *_: task_set([Task(f"task-{index}", 0.0, each) for index, each in enumerate(params)])
 
 
@@ -165,7 +165,7 @@ def never(*_):
     raise ValueError("never\nagain")
 
 
-# What each family does otherwise than the bandit, and what is said of it.
+# Each family's difference from the bandit, and the message about it.
 BROKEN = [
     ({"load": never}, r"its constructor fails: ValueError: never \(test_own_family\.py, line \d+, in never\)$"),
     ({"load": lambda self: None}, r"load\(\) must return a mujoco\.MjModel, not a NoneType"),
@@ -279,8 +279,8 @@ def test_a_word_that_becomes_no_task(parse_task, complaint, monkeypatch, run_dir
     assert not run_directory.exists()
 
 
-def test_constants_will_do(monkeypatch):
-    """A Python bool and a Python float are a scalar as any other where they do not depend on the state."""
+def test_constants_are_accepted(monkeypatch):
+    """A Python bool or float is accepted as a scalar if it does not depend on the state."""
     parts = {"terminated": lambda self, physics: False, "reward": lambda self, outcome, task: 1.0}
     monkeypatch.setitem(FAMILIES, "bandit", type("Constant", (Bandit,), parts))
     family = make_family("bandit", "native")

@@ -1,7 +1,7 @@
 """Metaworld-Reach against the whole scene of the installed `metaworld`, stepped by plain MuJoCo.
 
-Meta-World's own environment cannot be made with MuJoCo 3.17, so that what it does around the scene (the hand led by a
-mocap body, what is seen, what is rewarded) is transcribed here in NumPy.
+Meta-World's own environment cannot be made with MuJoCo 3.17, so its parts around the scene (the hand led by a mocap
+body, observations, rewards) are transcribed here in NumPy.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ def reach():
 
 
 def whole_scene() -> mujoco.MjModel:
-    """Table, walls, puck and meshes, and the weld as Meta-World sets it before it plays."""
+    """Returns the scene with table, walls, puck and meshes, and the weld as Meta-World sets it."""
     model = mujoco.MjSpec.from_file(str(reach_model_path())).compile()
     model.eq_data[0, :11] = [0, 0, 0, 0, 0, 0, -1, 0, 0, 0, 5]
     return model
 
 
 def play_scene(actions: np.ndarray) -> list[SimpleNamespace]:
-    """What Meta-World sees at the start and after each action [steps, 4]."""
+    """Returns Meta-World's observations at the start and after each action [steps, 4]."""
     model = whole_scene()
     data, seen = mujoco.MjData(model), []
     data.mocap_quat[0] = (1, 0, 1, 0)
@@ -74,7 +74,7 @@ def expected_reward(tcp: np.ndarray, goal: np.ndarray) -> float:
 
 
 def play(family, actions: np.ndarray):
-    """The same through the family, from its own start: states [steps + 1]."""
+    """Plays the same through the family; returns its start and the states [steps] after it."""
     task = {name: value[0] for name, value in family.training_tasks().params.items()}
     state = family.start(jax.random.key(0), task)
 
@@ -94,7 +94,7 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_steps_equal_the_whole_scene(reach, kind):
-    """Float32 between steps is all the difference: measured at worst 3e-7 m."""
+    """The only difference is float32 between steps: measured at worst 3e-7 m."""
     seen = play_scene(KINDS[kind])
     start, after = play(reach, KINDS[kind])
     np.testing.assert_allclose(start.obs, seen[0].obs, atol=2e-6)
@@ -111,7 +111,7 @@ def test_steps_equal_the_whole_scene(reach, kind):
 
 
 def test_the_arm_alone_moves_as_in_the_scene():
-    """In C, without float32 between steps, on a way that touches nothing."""
+    """C MuJoCo steps both without float32 between steps, on a path that touches nothing."""
     model = load_arm()
     assert (model.nbody, model.nq, model.nv, model.nu, model.nmocap, model.nmesh) == (12, 9, 9, 2, 1, 0)
     data, actions = mujoco.MjData(model), KINDS["random"]
@@ -126,7 +126,7 @@ def test_the_arm_alone_moves_as_in_the_scene():
         np.testing.assert_allclose(data.qpos, there.qpos, atol=1e-12)
 
 
-def test_goals_lie_in_meta_worlds_box_and_are_told_by_their_angle(reach):
+def test_goals_lie_in_meta_worlds_box_and_are_named_by_their_angle(reach):
     tasks = reach.training_tasks()
     goals = np.stack([tasks.params[axis] for axis in "xyz"], axis=1)
     assert (goals >= np.array((-0.1, 0.8, 0.05)) - 1e-6).all()
@@ -145,7 +145,7 @@ def test_at_the_goal_the_reward_is_full(reach):
 
 
 def test_the_agent_sees_two_steps(reach):
-    """As Meta-World shows them; a recurrent agent sees more."""
+    """Meta-World shows two; a recurrent agent sees more."""
     shown = {("paper", "ear"): 2, ("fast", "onehot"): 2, ("smoke", "ear"): 2, ("fast", "ear-rnn"): 8}
     for (preset, agent), steps in shown.items():
         family = make_program(preset_config("reach", preset, agent)).family
@@ -164,7 +164,7 @@ def test_passes_what_a_users_family_must(reach):
 def test_is_a_brax_environment_by_name():
     """Under Brax's own wrappers, past the end of an episode."""
     env = wrap(get_environment("ear_reach", engine="native"), episode_length=3)
-    state = start = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 2))  # Brax knows no typed keys
+    state = start = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 2))  # Brax takes legacy keys only
     step, action = jax.jit(env.step), jnp.ones((2, env.action_size))
     for _ in range(3):
         state = step(state, action)
@@ -175,12 +175,12 @@ def test_is_a_brax_environment_by_name():
 
 @pytest.mark.slow
 def test_mjx_follows_c_within_measured_tolerance(reach):
-    """The hand's way through 100 steps: measured at worst 2.3e-4 m, and 1.7e-3 m into a corner.
+    """The hand's path over 100 steps: measured at worst 2.3e-4 m, and 1.7e-3 m into a corner.
 
     C adds J̇q̇ to the weld's reference acceleration, MJX does not.
     """
     family = make_family("reach", "mjx")
-    # JAX 0.10's compiler computes MJX's chain of links over and over unless it is told not to; 0.12 has no such option.
+    # Without this option JAX 0.10 recomputes MJX's chain of links many times over; 0.12 does not have it.
     options = {"xla_cpu_use_fusion_emitters": False} if jax.__version_info__ < (0, 12) else {}
     for kind, worst in (("random", 1e-3), ("into a corner", 7e-3)):
         _, native = play(reach, KINDS[kind])

@@ -1,4 +1,4 @@
-"""The ant looks the same from four sides and in a mirror, and what is made of that is true."""
+"""The ant's symmetries: four turns and a mirror, and the transitions made with them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def ant():
 
 
 def test_variants_are_a_group_that_begins_with_no_change(ant):
-    """Eight different ones, each with one that undoes it."""
+    """There are eight different ones, and each has an inverse."""
     for signed in (ant.symmetry.obs, ant.symmetry.action):
         unit = np.eye(signed.order.shape[1])
         each = jax.jit(jax.vmap(jax.vmap(signed, in_axes=(None, 0)), in_axes=(0, None)))(VARIANTS, unit)
@@ -38,7 +38,7 @@ def test_variants_are_a_group_that_begins_with_no_change(ant):
 
 
 def test_the_ants_step_turned_is_the_step_of_the_turned_ant(ant):
-    """C MuJoCo's steps of ants on the move, to rounding; and what is commanded turns too."""
+    """C MuJoCo steps ants on the move alike, to rounding; the commanded direction turns with them."""
     symmetry, n = ant.symmetry, 64
     task = ant.parse_task("15").params
     keys = jax.random.split(jax.random.key(0), n)
@@ -48,7 +48,7 @@ def test_the_ants_step_turned_is_the_step_of_the_turned_ant(ant):
     for action in actions:
         state = step_all(state, action)
     physics, action = state.pipeline_state, actions[0]
-    # Without a warm start, which belongs to the ant that is not turned.
+    # Without a warm start, which belongs to the ant before the turn.
     place = jnp.concatenate([jnp.zeros((n, 2)), physics.qpos[:, 2:], physics.qvel], axis=1)
 
     def step(seen, action):
@@ -72,7 +72,7 @@ def test_the_ants_step_turned_is_the_step_of_the_turned_ant(ant):
 
 
 def test_tasks_become_tasks(ant):
-    """A quarter turn adds 90 degrees, a flip changes the sign; of three tasks not all have one that becomes them."""
+    """A quarter turn adds 90 degrees, a flip changes the sign; with three tasks, some variants have no source."""
     found = jax.jit(partial(origins, ant.symmetry))
     source, exists = found(ant.training_tasks().params)
     assert exists.all()

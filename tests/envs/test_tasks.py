@@ -1,4 +1,4 @@
-"""The families' task sets: which, in what order, drawn how, and by what words a person names them."""
+"""The families' task sets: their order, how new tasks are drawn, and the words that name them."""
 
 from __future__ import annotations
 

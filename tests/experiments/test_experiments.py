@@ -1,4 +1,4 @@
-"""Running what is missing of a table or figure, and what counts as there."""
+"""Running the missing parts of a table or figure, and the rules for what is missing."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from experiments.paper import EXPERIMENTS
 
 @pytest.fixture
 def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """No records, and an `ear` that trains to the last epoch at once; the command lines it got."""
+    """Replaces `ear` by one that trains at once and starts without records; returns the command lines it gets."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(inventory, "RECORDS", tmp_path / "records")
     asked: list[str] = []
@@ -80,7 +80,7 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
 @pytest.mark.parametrize(
     "words", [["experiments", "reproduce", "table-1", "--dry-run"], ["ear_jax.cli.main", "--help"]]
 )
-def test_whoever_reads_what_is_said_may_leave(words):
+def test_a_closed_pipe_ends_a_command_quietly(words):
     reader, writer = os.pipe()
     os.close(reader)
     place = Path(__file__).parents[2]
@@ -133,7 +133,7 @@ def test_a_record_is_not_analysed_by_another_run_of_its_name(workplace, tmp_path
     assert workplace == [f"evaluate records/{record.name}/policy.safetensors --episodes 5 --json"]
 
 
-def test_training_anew_drops_what_was_said_of_the_run_before(workplace):
+def test_training_again_drops_the_analyses_of_the_run_before(workplace):
     job = jobs(EXPERIMENTS["table-15"], "fast", seeds=1)[0]
     write_run(job.record, job.config, epoch=1)
     (job.record / "adaptation.json").write_text("{}")
@@ -190,7 +190,7 @@ def test_seeds_are_trained_one_by_one_where_their_record_is_of_other_settings(wo
 
 
 def test_seeds_that_are_lacking_are_trained_together(workplace):
-    """Of two methods, of which one has a seed already."""
+    """There are two methods, and one of them has a seed already."""
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     workplace.clear()
     shutil.rmtree(inventory.RECORDS / "ant-dir-ear-fast+no-noise-seed0")
@@ -281,7 +281,7 @@ def test_a_command_that_fails_is_named_with_its_exit_code(tmp_path, monkeypatch,
 
 
 def test_a_signal_is_passed_on_and_waited_for(tmp_path):
-    """The command in the middle of its work is a stand-in that says when it has begun, and that it has saved."""
+    """The running command is a stand-in that leaves a file when it begins and when it saves."""
     stand_in = tmp_path / "ear_jax" / "cli" / "main.py"
     stand_in.parent.mkdir(parents=True)
     for package in (tmp_path / "ear_jax", stand_in.parent):

@@ -1,4 +1,4 @@
-"""`python -m experiments publish`: what a card says is what the record says, and what cannot ship is refused."""
+"""`python -m experiments publish`: a card agrees with its record, and an agent that cannot ship is refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def record(tmp_path) -> Path:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """Where agents go, empty."""
+    """Makes an empty folder for agents."""
     monkeypatch.setattr(pretrained, "FOLDER", tmp_path / "agents")
     pretrained.FOLDER.mkdir()
     return pretrained.FOLDER
@@ -64,7 +64,7 @@ def test_without_an_evaluation_returns_are_the_last_rows_and_limits_unknown(reco
 
 
 def of_two_seeds(record: Path) -> None:
-    """The second seed's policy is the first's turned about, and its returns are less by one."""
+    """Adds a second seed to a record: the first's policy negated, with returns lower by one."""
     about, arrays = read_policy(record / POLICY)
     about["config"]["seeds"] = 2
     twice = jax.tree.map(lambda leaf: np.concatenate([leaf, -leaf]), load(record / POLICY).policies)
@@ -140,7 +140,7 @@ def test_sizes_are_limited(record, folder, monkeypatch, capsys):
     assert f"has {size:,} bytes; an agent may have at most {size - 1:,}" in capsys.readouterr().err
     monkeypatch.setattr(publish, "FILE_BYTES", size)
     monkeypatch.setattr(publish, "ALL_BYTES", 2 * size - 1)
-    for _ in range(2):  # the second in place of the first
+    for _ in range(2):  # the second replaces the first
         assert main(["publish", str(record), "--name", "one"]) == 0
     assert main(["publish", str(record), "--name", "two"]) == 1
     assert f"all agents would have {2 * size:,} bytes; the limit is {2 * size - 1:,}" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What the report says of made-up records, worked out by hand."""
+"""The report of made-up records, against values worked out by hand."""
 
 from __future__ import annotations
 

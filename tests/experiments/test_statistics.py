@@ -16,9 +16,9 @@ def mean(scores: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("scores", "expected"),
     [
-        ([[1, 2, 3, 4], [5, 6, 7, 8]], 4.5),  # of eight the two lowest and the two highest go
-        ([[9, 1, 5, 2, 100]], (2 + 5 + 9) / 3),  # of five one at either end
-        ([[4, 6, 8]], 6.0),  # of three none
+        ([[1, 2, 3, 4], [5, 6, 7, 8]], 4.5),  # the two lowest and the two highest of eight are dropped
+        ([[9, 1, 5, 2, 100]], (2 + 5 + 9) / 3),  # one at either end of five
+        ([[4, 6, 8]], 6.0),  # none of three
         ([[-7]], -7.0),
     ],
 )
@@ -50,13 +50,13 @@ def test_probability_of_improvement_is_mann_and_whitneys_statistic():
 
 
 def test_seeds_are_drawn_within_a_task():
-    """Tasks differ, seeds do not: nothing is left to chance."""
+    """Tasks differ and seeds do not, so the interval has no width."""
     scores = np.tile([-50.0, -200.0, -600.0], (3, 1))
     assert bootstrap_interval(mean, scores) == pytest.approx((-850 / 3, -850 / 3))
 
 
 def test_each_task_draws_its_own_seeds():
-    """Were seeds drawn for all tasks at once, the mean of opposite tasks would never move."""
+    """If seeds were drawn for all tasks at once, the mean of opposite tasks would never change."""
     low, high = bootstrap_interval(mean, np.array([[0.0, 1.0], [1.0, 0.0]]))
     assert (low, high) == (0.0, 1.0)
 

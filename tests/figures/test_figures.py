@@ -1,4 +1,4 @@
-"""Figures of interpolation and of search: what is on their axes is what the documents say."""
+"""Figures of interpolation and of search: their lines show the documents' numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ QUANTITY = {"outcome": "velocity", "unit": "m/s"}
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Every line of all figures as (x, y), in the order in which they are drawn."""
+    """Collects every line of all figures as (x, y), in drawing order."""
     lines, plot = [], Axes.plot
 
     def note(axes, *arguments, **style):

@@ -9,7 +9,7 @@ from ear_jax.embeddings.trajectory import Trajectory
 
 
 def running(cheetah: mujoco.MjModel, speed: float, steps: int = 100, fell: bool = False) -> Trajectory:
-    """The cheetah in its own pose, carried along x at `speed` m/s with 20 poses a second."""
+    """Returns the cheetah in its own pose, carried along x at `speed` m/s with 20 poses a second."""
     qpos = np.tile(cheetah.qpos0, (steps + 1, 1))
     qpos[:, 0] = speed * np.arange(steps + 1) / 20
     return Trajectory(qpos, fell, {}, speed)

@@ -1,4 +1,4 @@
-"""Records made up for tests of the report, and what is read off what it writes."""
+"""Made-up records for tests of the report, and readers of its Markdown."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def record(
     level: float = -200,
     **made: Any,
 ) -> Path:
-    """A record of two rows, whose tasks return `level` and a little more each, of 400 epochs if not more are asked."""
+    """Writes a record of two rows whose tasks return `level`, `level` + 1, …, over at least 400 epochs."""
     config = dataclasses.replace(preset_config(family, preset, agent), seed=seed, **made)
     directory = inventory.RECORDS / f"{family}-{agent}-{preset}-seed{seed}"
     directory.mkdir(parents=True)
@@ -43,7 +43,7 @@ def add(directory: Path, name: str, **document: Any) -> None:
 
 
 def add_pairs(directory: Path, seed: int, successes: int) -> None:
-    """Nine pairs, of which so many meet the value midway and one fewer lies between at β = ½."""
+    """Adds nine pairs: `successes` meet the value midway, and one fewer lies between at β = ½."""
     pairs = [
         {
             "seed": seed,
@@ -61,7 +61,7 @@ def add_pairs(directory: Path, seed: int, successes: int) -> None:
 
 
 def section(id: str, out: Path, preset: str = "fast") -> str:
-    """One section as Markdown."""
+    """Returns one section as Markdown."""
     found = RunIndex(preset)
     whole = {"comparison": comparison.comparison, "runs": sections.all_runs}
     one = whole[id](found) if id in whole else sections.section(EXPERIMENTS[id], found, out)
@@ -69,6 +69,6 @@ def section(id: str, out: Path, preset: str = "fast") -> str:
 
 
 def cells(text: str, row: str) -> list[str]:
-    """The cells of the first table row that begins with a word."""
+    """Returns the cells of the first table row that begins with `row`."""
     line = next(line for line in text.splitlines() if line.startswith(f"| {row} |"))
     return [cell.strip() for cell in line.strip("|").split("|")]

@@ -1,4 +1,4 @@
-"""An agent that does what its code says, without training."""
+"""An agent without training, whose action is the first number of its code."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ear_jax.agents import Agent
 from ear_jax.agents.networks import unit_vector
 from ear_jax.agents.tanh_gaussian import Gaussian
 
-# Codes of the two tasks on a great circle: the action goes from −0.5 to 0.5 as the circle is followed.
+# Codes of the two tasks on a great circle, along which the action goes from −0.5 to 0.5.
 CODES = jnp.array([[-0.5, np.sqrt(0.75), 0.0], [0.5, np.sqrt(0.75), 0.0]])
 
 

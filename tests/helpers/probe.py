@@ -21,7 +21,7 @@ SLIDER = """
 
 
 class Bandit(Family):
-    """One step, then it is over; the reward is −(a − a*)². Tasks look alike: only their code tells them apart."""
+    """Episodes of one step with the reward −(a − a*)². Observations are the same in all tasks: only codes differ."""
 
     name = "bandit"
     substeps = 1
@@ -55,7 +55,7 @@ class Bandit(Family):
 
 
 class Slider(Bandit):
-    """Goes on until the time limit of 4 steps, sees where it is and how fast, and fails past x = 2."""
+    """Episodes of up to 4 steps that fail past x = 2; observes position and speed."""
 
     name = "slider"
     episode_length = 4
@@ -68,7 +68,7 @@ class Slider(Bandit):
 
 
 class Recall(Slider):
-    """A cue, where the mass starts, is seen at the first step only; at every step the best action is half of it."""
+    """Shows a cue, the mass's start, at the first step only; at every step the best action is half of it."""
 
     name = "recall"
 

@@ -1,4 +1,4 @@
-"""Small runs to train, and what a test asks of them."""
+"""Small runs to train, and their states."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def tiny_config(**changes: object) -> Config:
 
 
 def finished_config(**changes: object) -> Config:
-    """Of the finished run below: two seeds, 12 blocks of 2 epochs, checkpoints of epochs 6, 12, 18 and 24."""
+    """Configures the `finished` run: two seeds, 12 blocks of 2 epochs, checkpoints of epochs 6, 12, 18 and 24."""
     return tiny_config(**{"seeds": 2, "epochs": 24, "checkpoint": CheckpointConfig(blocks=3), **changes})
 
 
 def compiled(config: Config) -> loop.Compiled:
-    """The compiled program of a configuration; of those that differ only in how long to train, the same."""
-    return _compiled(dataclasses.replace(config, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
+    """Returns the compiled program of a configuration; the seed and the length of a run do not change it."""
+    return _compiled(dataclasses.replace(config, seed=0, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
 
 
 @functools.cache
@@ -50,24 +50,25 @@ def _compiled(config: Config) -> loop.Compiled:
     return compile_program(make_program(config), seed_keys(config))
 
 
-def _compile_once(program: Program, keys: jax.Array) -> loop.Compiled:
+def compile_once(program: Program, keys: jax.Array) -> loop.Compiled:
     return compiled(program.config)
 
 
 def words(config: Config) -> list[str]:
-    """The command line of a configuration, every setting named."""
-    given = {name: value for name, value in flat(config).items() if value is not None and name != "family"}
-    found = ["train", config.family]
-    for name, value in given.items():
-        found += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
-    return found
+    """Returns the command line of a configuration, with every setting named."""
+    settings = {name: value for name, value in flat(config).items() if value is not None and name != "family"}
+    line = ["train", config.family]
+    for name, value in settings.items():
+        line += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
+    return line
 
 
-# Where a write fails, Orbax leaves others behind that nobody waits for, and Python tells of them when it finds them.
+# When a write fails, Orbax abandons other writes, and Python reports each when it is collected.
 stray_writes = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 
-def state_after(config, epochs: int):
+def state_after(config: Config, epochs: int) -> training.TrainState:
+    """Returns the state after some epochs of training, without a run directory."""
     program = compiled(config)
     state = loop.fill_replay(program, program.init(seed_keys(config)), config.collect.pretrain_epochs)
     return loop.train_epochs(program, state, epochs)[0]
@@ -78,6 +79,6 @@ def leaves(state) -> list[np.ndarray]:
 
 
 def last_state(run: Path, config, warn=pytest.fail) -> training.TrainState:
-    """What the newest checkpoint of a run holds."""
+    """Returns the state in the newest checkpoint of a run."""
     like = jax.eval_shape(jax.vmap(partial(training.init, make_program(config))), seed_keys(config))
     return checkpoint.restore(checkpoint.newest(run / "checkpoints", warn), like)

@@ -1,4 +1,4 @@
-"""What our documents say in numbers is what the records and the tests say; nothing measured stands there unchecked."""
+"""Numbers in documents agree with records and tests; none that looks measured goes unchecked."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CHEETAH = RECORDS / "halfcheetah-vel-ear-fast-seed0"
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 # A number that looks measured: with a unit of time, a share, a ratio, or negative as returns are.
 MEASURED = re.compile(r"−\d[\d.,]*|\d[\d.,]* ?(?:s|seconds?|min|minutes?|hours?|ms|%|times)\b")
-GIVEN = (  # what is set, by us, by the models or by the paper
+GIVEN = (  # chosen by us, by the models or by the paper
     "a step of 8 ms",
     "where a step is 8 ms",
     "some 20 times as large as joint angles",
@@ -37,7 +37,7 @@ GIVEN = (  # what is set, by us, by the models or by the paper
 
 
 def plain(path: Path) -> str:
-    """A document's own words in one line: without code, and without what is written from records."""
+    """Returns a document's prose in one line, without code and without parts written from records."""
     text = re.sub(r"<!-- (\w+) -->.*<!-- /\1 -->|```.*?```|`[^`]*`", "", path.read_text(), flags=re.DOTALL)
     return " ".join(text.split())
 
@@ -58,7 +58,7 @@ def said_of_the_cheetah() -> list[str]:
 
 
 def said_of_the_long_run() -> list[str]:
-    """What twice the length gives the cheetah, as `docs/fast.md` has it."""
+    """The gain of twice the length for the cheetah, in the words of `docs/fast.md`."""
     usual, long = (
         [one["mean_return"] for one in json.loads((RECORDS / name / "evaluation.json").read_text())["seeds"]]
         for name in ("halfcheetah-vel-ear-fast-seeds0-4", pretrained.card("halfcheetah-vel")["record"])
@@ -71,7 +71,7 @@ def said_of_the_long_run() -> list[str]:
 
 
 def said_of_the_ant() -> list[str]:
-    """Its returns, how fast it is in metres a second, and how many episodes end early, as `docs/fast.md` has them."""
+    """Its returns, speeds in m/s and episodes that end early, in the words of `docs/fast.md`."""
     returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
     wide, wide_speeds, wide_early = ants(*(f"fast+wide-seed{seed}" for seed in range(3)))
     (half_as_long,), *_ = ants("fast-width-512-seed1")
@@ -99,7 +99,7 @@ def said_of_the_wide() -> list[str]:
 
 
 def said_of_the_ring() -> list[str]:
-    """How far apart the embeddings of the ant's neighbouring directions are, and what that does to blends."""
+    """The angles between embeddings of the ant's neighbouring directions, and their effect on blends."""
     found = RunIndex("fast")
     *even, broken = map(measures.gaps, found.runs("ant-dir", variant="+wide"))
     blends = json.loads((RECORDS / "ant-dir-ear-fast+wide-seed2" / "interpolation.json").read_text())["one_to_one"]
@@ -128,7 +128,7 @@ def said_of_the_gathered() -> list[str]:
 
 
 def ants(*names: str) -> tuple[list[str], str, str]:
-    """Of recorded runs of the ant in words: each one's return, from what to what speed, how many of how many fell."""
+    """Returns of recorded runs of the ant each run's return, the range of speeds and the share of early ends."""
     returns, speeds, lengths = [], [], []
     for name in names:
         found = json.loads((RECORDS / f"ant-dir-ear-{name}" / "evaluation.json").read_text())

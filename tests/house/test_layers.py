@@ -1,4 +1,4 @@
-"""Imports go one way, rooms stay small, and what reads records never waits for JAX."""
+"""Imports go one way, rooms stay small, and readers of records never import JAX."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import ear_jax
 
 PACKAGE = Path(ear_jax.__file__).parent
-# From the bottom up. A package may import only from those before it; the modules beside them stand where they belong.
+# From the bottom up. A package may import only from those before it; so may the modules beside them.
 ORDER = (
     "errors",
     "config",
@@ -34,7 +34,7 @@ FILES = [path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.p
 
 
 def imports(path: Path) -> set[str]:
-    """The modules of ours that a file imports, wherever in it."""
+    """Returns the modules of this package that a file imports, at any place in it."""
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "ear_jax":
@@ -64,7 +64,7 @@ def test_no_module_imports_itself_round_a_circle():
     modules = {module_of(path): path for path in FILES}
 
     def named(imported: str) -> str | None:
-        """The module an import is of: itself, or what one of its names stands in."""
+        """Returns the module that an import names, or the one that defines the imported name."""
         return imported if imported in modules else next(iter({imported.rpartition(".")[0]} & modules.keys()), None)
 
     arrows = {

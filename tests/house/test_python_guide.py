@@ -1,4 +1,4 @@
-"""The document on use from Python: its blocks run as one program, as printed."""
+"""The document on use from Python: its blocks run as one program, exactly as printed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "python.md"
 
 
 def test_the_documents_program_runs(tmp_path, monkeypatch):
-    """All but the training, which would take an hour: its settings are checked instead."""
+    """Training, which would take an hour, is left out; its settings are checked instead."""
     monkeypatch.chdir(tmp_path)
     trained = []
     monkeypatch.setattr(loop, "train_run", lambda config, directory: trained.append((config, directory)))

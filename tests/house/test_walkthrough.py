@@ -1,4 +1,4 @@
-"""The walk-through of docs/extending.md: its file is a method that trains, by its line in the registry alone."""
+"""The walk-through of docs/extending.md: its file is a method that trains."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ import types
 from collections.abc import Iterator
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ear_jax.methods import METHODS
-from ear_jax.runs.training import evaluate
-from tests.helpers.bandit import bandit_program, begin, train_on
+from tests.helpers.bandit import bandit_program, begin, played, train_on
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "extending.md"
 
@@ -44,5 +42,5 @@ def test_it_solves_the_bandit(walkthrough, monkeypatch):
     monkeypatch.setitem(METHODS, "ear-c51", walkthrough.METHOD)
     program = bandit_program("ear-c51")
     state = train_on(program, begin(program), 20)
-    played = evaluate(program, state.learner.policy, jax.random.key(2), 4)
-    np.testing.assert_allclose(played.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
+    episodes = played(program, state.learner.policy, 4)
+    np.testing.assert_allclose(episodes.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)

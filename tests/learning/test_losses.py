@@ -61,7 +61,7 @@ def test_temperature_moves_towards_the_target_entropy():
     grad = jax.grad(losses.temperature_loss)
     assert grad(jnp.float32(0.3), too_certain, -6.0) == pytest.approx(-(3.0 - 6.0))
     assert grad(jnp.float32(0.3), too_random, -6.0) == pytest.approx(-(-9.0 - 6.0))
-    # log π = 3 is entropy −3, above the target of −6: α must fall, and does along the negative of +3.
+    # log π = 3 is entropy −3, above the target of −6: α must fall, and it does, as its gradient is positive.
     assert grad(jnp.float32(0.3), too_certain, -6.0) > 0
 
 

@@ -1,8 +1,9 @@
-"""MAML in parts whose answers are known: advantages, one step within a trust region, one step of tuning."""
+"""Parts of MAML with known answers: advantages, one step within a trust region, one step of tuning."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,31 +11,29 @@ import numpy as np
 import pytest
 
 from ear_jax.agents.tanh_gaussian import Gaussian
-from ear_jax.config import check
 from ear_jax.errors import UsageError
 from ear_jax.learning.advantage import advantages, returns_to_go
 from ear_jax.learning.maml import Trial
 from ear_jax.learning.trust_region import improve
+from ear_jax.methods import find_method
 from ear_jax.presets import preset_config
-from ear_jax.process.runtime import compiler_options
-from ear_jax.runs import training
 from tests.helpers.bandit import bandit_program
 
 
-def test_what_is_left_of_an_episode_ends_with_it():
+def test_returns_to_go_end_with_the_episode():
     reward = jnp.array([[1.0, 1.0], [2.0, jnp.nan], [4.0, 5.0]])
     valid = jnp.array([[True, True], [True, False], [True, False]])
     np.testing.assert_allclose(returns_to_go(reward, valid, 0.5), [[3.0, 1.0], [4.0, 0.0], [4.0, 0.0]])
 
 
-def test_an_advantage_is_what_observation_and_time_did_not_foretell():
-    """A reward that both tell leaves nothing; a surprise at one step is all that is left, before and at it."""
+def test_an_advantage_is_the_reward_that_observation_and_time_did_not_predict():
+    """A reward that both predict leaves no advantage; a surprise at one step is all that is left."""
     steps, episodes = 20, 30
     obs = jax.random.normal(jax.random.key(0), (steps, episodes, 1))
     time = jnp.arange(steps)[:, None] * jnp.ones((1, episodes))
     valid = time < 15
     surprise = jnp.zeros((steps, episodes)).at[7, 3].set(10.0)
-    found = advantages(obs, 0.1 * time + surprise, valid, 1e-6)
+    found = jax.jit(advantages)(obs, 0.1 * time + surprise, valid, 1e-6)
     assert jnp.unravel_index(jnp.argmax(found), found.shape) == (7, 3)
     assert found[7, 3] > 15, "in standard deviations"
     assert jnp.abs(found.at[7, 3].set(0)).max() < 1.5
@@ -47,13 +46,13 @@ CURVATURE = jnp.diag(jnp.array([4.0, 1.0, 0.25]))
 
 
 def test_a_step_goes_along_the_natural_gradient_as_far_as_allowed():
-    """Of a linear loss and a quadratic divergence: −F⁻¹g, scaled to the limit; damping is 1 % of F along g."""
+    """A linear loss and a quadratic divergence give −F⁻¹g, scaled to the limit; damping is 1 % of F along g."""
     slope = jnp.array([1.0, 1.0, 1.0])
 
     def measure(where: jax.Array) -> tuple[jax.Array, jax.Array]:
         return where @ slope, 0.5 * (where - 1) @ CURVATURE @ (where - 1)
 
-    end, metrics = improve(measure, jnp.ones(3), 0.02)
+    end, metrics = jax.jit(partial(improve, measure))(jnp.ones(3), 0.02)
     direction = -jnp.linalg.solve(CURVATURE + 0.01 * 1.75 * jnp.eye(3), slope)
     np.testing.assert_allclose((end - 1) / jnp.linalg.norm(end - 1), direction / jnp.linalg.norm(direction), atol=1e-4)
     assert float(metrics["divergence"]) == pytest.approx(0.02, rel=0.1)
@@ -65,17 +64,17 @@ def test_a_step_too_long_for_the_loss_is_shortened_and_none_is_taken_at_a_minimu
         return where @ where, 1e-3 * jnp.sum((where - start) ** 2)
 
     start = jnp.full(3, 0.1)
-    end, metrics = improve(measure, start, 0.02)
+    end, metrics = jax.jit(partial(improve, measure))(start, 0.02)
     assert 0 < float(metrics["step"]) < 1
     assert end @ end < start @ start
     start = jnp.zeros(3)
-    end, metrics = improve(measure, start, 0.02)
+    end, metrics = jax.jit(partial(improve, measure))(start, 0.02)
     np.testing.assert_array_equal(end, 0)
     assert float(metrics["step"]) == 0
 
 
 def test_tuning_follows_the_policy_gradient_of_a_task_alone():
-    """Of N(μ, σ²) whose mean is the code, the code moves by the mean of α A (u − μ) / σ² over the valid steps."""
+    """If the mean of N(μ, σ²) is the code, it moves by the mean of α A (u − μ) / σ² over valid steps."""
     program = bandit_program("maml")
     plain = replace(program.agent, distribution=lambda policy, code, obs: Gaussian(code[:1], jnp.full(1, jnp.log(0.5))))
     learner = replace(program.learner, agent=plain)
@@ -85,19 +84,18 @@ def test_tuning_follows_the_policy_gradient_of_a_task_alone():
     one = Trial(jnp.zeros((2, 2, 1)), raw[..., None], behaviour, jnp.array([[1.0, -1.0], [0.5, 7.0]]), valid)
     both = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), one)
     both = replace(both, advantage=both.advantage.at[1].multiply(-2))
-    tuned = learner.tune({}, jnp.zeros((2, 1)), both)
+    tuned = jax.jit(learner.tune)({}, jnp.zeros((2, 1)), both)
     step = 0.01 * (0.5 * 1 + 1 * 1 + 2 * 0.5) / 3 / 0.25
     np.testing.assert_allclose(tuned[:, 0], [step, -2 * step], rtol=1e-5)
 
 
 def test_a_trial_is_the_first_episode_of_each_environment():
-    """The bandit's lasts one step of the two."""
+    """The bandit's episode lasts one step."""
     program = bandit_program("maml")
     config = replace(program.config, collect=replace(program.config.collect, envs=3, steps=4))
-    learner = training.make_learner(program.agent, program.family, program.tasks.params, config)
+    learner = replace(program.learner, config=config)
     policy = learner.init(jax.random.key(0)).policy
-    play = jax.jit(learner.play, compiler_options=compiler_options())
-    trials, returns, invalid = play(policy, policy["codes"], program.tasks.params, jax.random.key(1))
+    trials, returns, invalid = jax.jit(learner.play)(policy, policy["codes"], program.tasks.params, jax.random.key(1))
     np.testing.assert_array_equal(trials.valid, [[[True] * 3, [False] * 3]] * 2)
     action = jnp.tanh(trials.raw[:, 0, :, 0])
     np.testing.assert_allclose(returns, -((action - jnp.array([[-0.5], [0.5]])) ** 2), atol=1e-5)
@@ -106,6 +104,7 @@ def test_a_trial_is_the_first_episode_of_each_environment():
 
 def test_steps_that_cannot_be_halved_and_more_than_one_update_are_refused():
     config = preset_config("halfcheetah-vel", "fast", "maml")
+    check = find_method("maml").learner.check
     check(config, 7)  # batches do not matter
     with pytest.raises(UsageError, match="401 is odd"):
         check(replace(config, collect=replace(config.collect, steps=401)), 10)

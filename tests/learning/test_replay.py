@@ -1,4 +1,4 @@
-"""Every field of every fake transition carries its own identity, so a wrong gather cannot hide."""
+"""Rings of transitions whose every field is a number of its own, so that a wrong gather shows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TASKS, ENVS, CAPACITY = 3, 2, 10
 
 
 def transitions(first_step: int, steps: int, valid=None) -> Transition:
-    """Transition of task t, env e at step s is number 100 t + 10 e + s … in every field."""
+    """Returns transitions whose fields are 1000 t + 100 e + s and a fraction, for task t, environment e, step s."""
     step, task, env = jnp.meshgrid(
         jnp.arange(first_step, first_step + steps), jnp.arange(TASKS), jnp.arange(ENVS), indexing="ij"
     )
@@ -75,14 +75,14 @@ def test_invalid_transitions_leave_no_trace():
 
 
 def holding(obs: np.ndarray, added: list[int]) -> replay.Replay:
-    """Rings [tasks, capacity] of observations [tasks, capacity, obs] and nothing else."""
+    """Returns rings of observations [tasks, capacity, obs] and nothing else."""
     nothing = jnp.zeros(obs.shape[:2])
     return replay.Replay(replay.Experience(jnp.asarray(obs), nothing, nothing, {}, nothing), jnp.array(added))
 
 
 def test_standardiser_is_of_what_rings_hold():
     seen = np.random.default_rng(0).normal(3.0, 2.0, size=(2, 8, 2)).astype(np.float32)
-    found = replay.standardiser(holding(seen, added=[5, 20]))  # the first ring is not full, the second overwritten
+    found = replay.standardiser(holding(seen, added=[5, 20]))  # the first ring is not full, the second was overwritten
     expected = np.concatenate([seen[0, :5], seen[1]])
     np.testing.assert_allclose(found.mean, expected.mean(0), rtol=1e-5)
     np.testing.assert_allclose(found.scale, 1 / np.sqrt(expected.var(0) + 1e-4), rtol=1e-5)

@@ -1,4 +1,4 @@
-"""What an update moves, what it must not, and whether it solves what can be solved by hand."""
+"""SAC's updates: the parts they move and leave alone, and problems whose solution is known."""
 
 from __future__ import annotations
 
@@ -10,8 +10,18 @@ import numpy as np
 import pytest
 
 from ear_jax.runs import training
-from ear_jax.runs.training import Program, evaluate
-from tests.helpers.bandit import all_draws, bandit_program, batch_of, begin, draws_of, one_update, train_on
+from ear_jax.runs.training import Program
+from tests.helpers.bandit import (
+    all_draws,
+    bandit_program,
+    batch_of,
+    begin,
+    draws_of,
+    one_update,
+    played,
+    target_of,
+    train_on,
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +37,8 @@ def begun(program: Program) -> training.TrainState:
 def test_code_alone_tells_two_tasks_apart(program, begun):
     """Same observation, opposite targets: solved only through the LTEs. The temperature is learnt too."""
     state = train_on(program, begun, 20)
-    played = evaluate(program, state.learner.policy, jax.random.key(2), 4)
-    np.testing.assert_allclose(played.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
+    episodes = played(program, state.learner.policy, 4)
+    np.testing.assert_allclose(episodes.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
 
 
 def test_lte_rows_have_unit_norm(program, begun):
@@ -41,7 +51,7 @@ def test_lte_rows_have_unit_norm(program, begun):
 
 
 def test_first_adam_step_is_the_learning_rate(program, begun):
-    """In every layer what has a gradient moves by lr, the temperature up or down by exactly that."""
+    """In every layer the parameters with a gradient move by lr, the temperature up or down by exactly that."""
     before, after, metrics = one_update(program, begun)
     assert abs(float(after.log_temperature - before.log_temperature)) == pytest.approx(1e-2, rel=1e-3)
     for learnt in (lambda state: state.critics, lambda state: state.policy["networks"]):
@@ -50,7 +60,7 @@ def test_first_adam_step_is_the_learning_rate(program, begun):
     assert all(np.isfinite(value).all() for value in metrics.values())
 
 
-def test_the_step_size_falls_evenly_to_a_tenth(program):
+def test_the_step_size_falls_evenly_to_a_tenth():
     """Under a gradient that stays the same, Adam moves by the step size."""
     optimiser = bandit_program(lr_decay=4).learner.optimiser
     state, moves = optimiser.init(jnp.zeros(1)), []
@@ -106,23 +116,23 @@ def test_truncation_bootstraps_and_termination_does_not(program, begun):
     draws = draws_of(program.learner, 1)
     batch = batch_of(program.learner, begun, draws)
     assert batch.terminated.all(), "every step of a bandit ends it"
-    table = program.agent.codes(begun.learner.policy)
-    target = jax.jit(program.learner._target)
-    np.testing.assert_allclose(target(begun.learner, batch, table, draws.next), batch.reward)
+    np.testing.assert_allclose(target_of(program.learner, begun, batch, draws), batch.reward)
     going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
-    assert (target(begun.learner, going, table, draws.next) != batch.reward).all()
+    assert (target_of(program.learner, begun, going, draws) != batch.reward).all()
 
 
-def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(begun):
-    losses, targets = [], []
-    for pessimism in (0.0, 0.5, 1.0):
-        program = bandit_program(pessimism=pessimism)
-        losses.append(float(one_update(program, begun)[2]["actor_loss"]))
-        draws = draws_of(program.learner, 1)
-        batch = batch_of(program.learner, begun, draws)
-        going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
-        table = program.agent.codes(begun.learner.policy)
-        target = jax.jit(program.learner._target)
-        targets.append(float(np.mean(target(begun.learner, going, table, draws.next))))
+def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(program, begun):
+    draws = draws_of(program.learner, 1)
+    batch = batch_of(program.learner, begun, draws)
+    going = dataclasses.replace(batch, terminated=jnp.zeros_like(batch.terminated))
+    table = program.agent.codes(begun.learner.policy)
+
+    def of(pessimism: jax.Array) -> tuple[jax.Array, jax.Array]:
+        sac = dataclasses.replace(program.config.sac, pessimism=pessimism)
+        learner = dataclasses.replace(program.learner, config=dataclasses.replace(program.config, sac=sac))
+        metrics = learner._gradients(begun.learner, begun.replay, draws)[1]
+        return metrics["actor_loss"], jnp.mean(learner._target(begun.learner, going, table, draws.next))
+
+    losses, targets = jax.jit(jax.vmap(of))(jnp.array([0.0, 0.5, 1.0]))  # compiled once for all three
     assert losses[0] < losses[1] < losses[2]
     assert targets[0] > targets[1] > targets[2]

@@ -1,8 +1,9 @@
-"""What is true of every agent, and what sets each apart: reach of a gradient, sizes, codes."""
+"""Properties that all agents share, and those that set each apart: the reach of a gradient, sizes, codes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import jax
@@ -19,14 +20,14 @@ from ear_jax.learning.batch import Batches
 from ear_jax.methods import METHODS, Sizes, make_agent
 from ear_jax.presets import preset_config
 from ear_jax.runs.trained import Trained
-from ear_jax.runs.training import Program, TrainState, evaluate
+from ear_jax.runs.training import Program, TrainState
 from ear_jax.tasks import task_set
-from tests.helpers.bandit import bandit_program, begin, one_update, train_on
+from tests.helpers.bandit import bandit_program, begin, one_update, played, train_on, uncompiled
 
 
 @pytest.fixture(scope="module", params=METHODS)
 def solved(request: pytest.FixtureRequest) -> Trained:
-    """The bandit after 1,000 updates, which is enough for each agent but the one that has to infer its code first.
+    """The bandit after 1,000 updates, which is enough for each agent but PEARL, which has to infer its code first.
 
     An epoch of MAML is one update.
     """
@@ -36,28 +37,27 @@ def solved(request: pytest.FixtureRequest) -> Trained:
 
 
 def test_each_agent_solves_the_bandit_as_well_as_what_it_sees_allows(solved):
-    """Best is the task's own target; of who cannot tell tasks apart, the mean of them, 0.
+    """The best action is the task's own target, or the mean of both, 0, for an agent that cannot tell tasks apart.
 
     MAML's is as far off as one gradient step on 512 random rewards is.
     """
-    program, policy = solved.program, jax.tree.map(lambda leaf: leaf[0], solved.policies)
-    played = evaluate(program, policy, jax.random.key(2), 4)
+    episodes = played(solved.program, jax.tree.map(lambda leaf: leaf[0], solved.policies), 4)
     best = [[0.0] * 4] * 2 if solved.name == "onehot-blind" else [[-0.5] * 4, [0.5] * 4]
-    np.testing.assert_allclose(played.late["action"], best, atol=0.25 if solved.name == "maml" else 0.1)
+    np.testing.assert_allclose(episodes.late["action"], best, atol=0.25 if solved.name == "maml" else 0.1)
 
 
 def test_search_over_codes_goes_as_far_as_codes_go(solved):
-    """0.2 lies between the two trained actions: between two LTEs or one-hots there is a code for it, two heads are all.
+    """Between two LTEs or one-hots lies a code for 0.2, between the two trained actions; of heads there are only two.
 
-    Actions are drawn next to the mean here, so that a search of few episodes is not misled by a lucky one. MAML is
-    asked for what it is trained for, one gradient step.
+    Actions are drawn next to the mean here, so that a search of few episodes is not misled by a lucky one. MAML takes
+    the one gradient step that it is trained for. Nobody asks for a map of the sphere, so LSEs are left out.
     """
     program, agent = solved.program, solved.program.agent
 
     def certain(policy: Any, code: jax.Array, obs: jax.Array) -> Gaussian:
         return replace(agent.distribution(policy, code, obs), log_std=jnp.full(1, -9.0))
 
-    sure = replace(solved, program=replace(program, agent=replace(agent, distribution=certain)))
+    sure = replace(solved, program=replace(program, agent=replace(agent, distribution=certain, embed=None)))
     tasks = task_set([program.family.parse_task("0.2")])
     found = adapt(sure, tasks, Search(epochs=4, elites=4, samples=10), episodes=1, seed=0)["tasks"][0]
     best, within = {
@@ -74,6 +74,7 @@ def test_a_blend_lies_between_but_of_two_heads_is_one_of_them(solved):
     actions = play_blends(solved, [tuple(trained_ends(solved))], (0.9, 0.6, 0.4, 0.1), episodes=1, seed=0)[0, 0]
     if solved.name == "multihead":
         np.testing.assert_array_equal(actions[[0, 3]], actions[[1, 2]])
+        assert actions[0] < actions[3], "two heads, not one"
     elif solved.name == "onehot-blind":
         np.testing.assert_array_equal(actions, actions[0], "no code changes what it does")
     else:
@@ -84,12 +85,18 @@ def test_a_blend_lies_between_but_of_two_heads_is_one_of_them(solved):
 def test_codes_are_where_projection_leaves_them(name):
     config = preset_config("bandit", "smoke", name)
     agent = make_agent(Sizes(3 * config.network.history, 2, 4), config)
-    table = agent.codes(agent.init_policy(jax.random.key(0)))
-    assert table.shape == (4, agent.code_size)
-    np.testing.assert_allclose(jax.vmap(agent.project)(table), table, atol=1e-6)
+    project = jax.vmap(agent.project)
     anywhere = jax.random.normal(jax.random.key(1), (20, agent.code_size))
-    elsewhere = jax.vmap(agent.project)(anywhere)
-    np.testing.assert_allclose(jax.vmap(agent.project)(elsewhere), elsewhere, atol=1e-6)
+
+    @jax.jit
+    def projections(key: jax.Array) -> tuple[jax.Array, ...]:
+        table, elsewhere = agent.codes(agent.init_policy(key)), project(anywhere)
+        return table, project(table), elsewhere, project(elsewhere)
+
+    table, table_again, elsewhere, elsewhere_again = projections(jax.random.key(0))
+    assert table.shape == (4, agent.code_size)
+    np.testing.assert_allclose(table_again, table, atol=1e-6)
+    np.testing.assert_allclose(elsewhere_again, elsewhere, atol=1e-6)
     norm = 1.0 if agent.on_sphere else {"multihead": 1.0, "onehot-blind": 0.0}.get(name)
     if norm is None:
         np.testing.assert_array_equal(elsewhere, anywhere)
@@ -100,17 +107,18 @@ def test_codes_are_where_projection_leaves_them(name):
 @pytest.mark.parametrize("name", ["ear", "ear-rnn"])
 @pytest.mark.parametrize("task_layers", [0, 1])
 def test_ltes_begin_spread_or_gathered(name, task_layers):
-    def codes(start: Literal["spread", "gathered"], seed: int) -> jax.Array:
+    def codes(start: Literal["spread", "gathered"], *seeds: int) -> jax.Array:
         config = preset_config("ant-dir", "fast", name)
         network = replace(config.network, task_layers=task_layers, lte_start=start)
         agent = make_agent(Sizes(27 * network.history, 8, 24), replace(config, network=network))
-        return agent.codes(agent.init_policy(jax.random.key(seed)))
+        keys = jax.vmap(jax.random.key)(jnp.array(seeds))
+        return jax.jit(jax.vmap(lambda key: agent.codes(agent.init_policy(key))))(keys)
 
-    spread, here, there = codes("spread", 0), codes("gathered", 0), codes("gathered", 1)
+    (spread,), (here, there) = codes("spread", 0), codes("gathered", 0, 1)
     assert (spread @ spread.T).min() < np.cos(np.radians(60))
     for table in (here, there):
         assert (table @ table.T).min() > np.cos(np.radians(10))
-    assert here[0] @ there[0] < np.cos(np.radians(10)), "where they begin is drawn"
+    assert here[0] @ there[0] < np.cos(np.radians(10)), "the point where they begin is drawn"
 
 
 HIDDEN = (400 + 1) * 400
@@ -132,7 +140,7 @@ CONTEXT_ENCODER = 25 * 200 + 2 * 201 * 200 + 201 * 10
     ],
 )
 def test_parameter_counts_are_the_papers(name, policy, critic):
-    """Layers of settings as published, summed by hand: (inputs + 1) · outputs each."""
+    """Each layer of the published settings has (inputs + 1) · outputs, summed by hand."""
     config = preset_config("halfcheetah-vel", "paper", name)
     agent = make_agent(Sizes(17 * config.network.history, action=6, tasks=10), config)
     assert agent.parameter_counts == {"policy": policy, "critic": critic}
@@ -144,14 +152,14 @@ def moved(before: Any, after: Any) -> Any:
 
 @pytest.fixture
 def one_task(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every item of a batch teaches the second of the bandit's two tasks."""
+    """Makes every item of a batch teach the second of the bandit's two tasks."""
     monkeypatch.setattr(Batches, "item_tasks", lambda self: jnp.ones(self.config.sac.batch_size, jnp.int32))
 
 
 @pytest.mark.usefixtures("one_task")
 def test_a_task_moves_its_own_lte_and_what_all_share():
-    program = bandit_program("ear")
-    before, after, _ = one_update(program, begin(program))
+    program = uncompiled(bandit_program("ear"))
+    before, after, _ = one_update(program, begin(bandit_program("ear")))
     policy = moved(before.policy, after.policy)["networks"]
     np.testing.assert_array_equal(policy["task_encoder"]["params"]["Dense_0"]["kernel"], [[False] * 3, [True] * 3])
     assert all(leaf.any() for leaf in jax.tree.leaves((policy, moved(before.critics, after.critics))))
@@ -160,16 +168,16 @@ def test_a_task_moves_its_own_lte_and_what_all_share():
 
 @pytest.mark.usefixtures("one_task")
 def test_a_task_moves_its_own_input_of_a_onehot_policy():
-    program = bandit_program("onehot")
-    before, after, _ = one_update(program, begin(program))
+    program = uncompiled(bandit_program("onehot"))
+    before, after, _ = one_update(program, begin(bandit_program("onehot")))
     rows = moved(before.policy, after.policy)["networks"]["params"]["Dense_0"]["kernel"].any(axis=1)
-    np.testing.assert_array_equal(rows, [True, False, True])  # the observation, and a row a task
+    np.testing.assert_array_equal(rows, [True, False, True])  # the observation, and a row for each task
 
 
 @pytest.mark.usefixtures("one_task")
 def test_a_task_moves_its_own_heads_and_temperature_and_the_body():
-    program = bandit_program("multihead")
-    before, after, _ = one_update(program, begin(program))
+    program = uncompiled(bandit_program("multihead"))
+    before, after, _ = one_update(program, begin(bandit_program("multihead")))
     policy, critics = (
         moved(before.policy, after.policy)["networks"]["params"],
         moved(before.critics, after.critics)["params"],
@@ -188,7 +196,7 @@ def inferring() -> tuple[Program, TrainState]:
 
 
 def test_an_inferred_code_is_taught_by_the_critics_alone(inferring, monkeypatch):
-    """The policy's loss does not reach the encoder, and the table of codes is no gradient's."""
+    """The policy's loss does not reach the encoder, and no gradient reaches the table of codes."""
     program, state = inferring
     before, after, _ = one_update(program, state)
     changed = moved(before.policy, after.policy)
@@ -196,7 +204,7 @@ def test_an_inferred_code_is_taught_by_the_critics_alone(inferring, monkeypatch)
     assert not changed["codes"].any()
     monkeypatch.setattr(losses, "critic_loss", lambda losses: jnp.zeros(()))
     monkeypatch.setattr("ear_jax.learning.pearl.KL_WEIGHT", 0.0)
-    before, after, _ = one_update(program, state)
+    before, after, _ = one_update(uncompiled(program), state)
     changed = moved(before.policy, after.policy)["networks"]
     assert not any(leaf.any() for leaf in jax.tree.leaves(changed["encoder"]))
     assert all(leaf.any() for leaf in jax.tree.leaves(changed["actor"]))
@@ -209,11 +217,12 @@ def test_a_code_is_inferred_from_the_newest_steps_of_its_own_task(inferring):
     window = program.config.collect.envs * program.config.collect.steps
     newest = int(state.replay.added[0])
     assert newest > window
+    observe = jax.jit(learner.observe)
 
     def codes(action: jax.Array) -> np.ndarray:
         outcome = {"action": action}
         buffer = replace(state.replay, rings=replace(rings, action=action[..., None], outcome=outcome))
-        return np.asarray(learner.observe(state.learner.policy, buffer)["codes"])
+        return np.asarray(observe(state.learner.policy, buffer)["codes"])
 
     action = rings.outcome["action"]
     plain = codes(action)
@@ -225,15 +234,16 @@ def test_a_code_is_inferred_from_the_newest_steps_of_its_own_task(inferring):
 
 def test_collection_acts_under_drawn_codes_now_and_then_from_the_prior(inferring, monkeypatch):
     program, state = inferring
-    policy = program.learner.observe(state.learner.policy, state.replay)
+    policy = jax.jit(program.learner.observe)(state.learner.policy, state.replay)
     keys = jax.random.split(jax.random.key(0), 400)
 
-    def draws() -> np.ndarray:
-        return np.asarray(jax.vmap(lambda key: program.learner.codes_to_act(policy, state.replay, key))(keys))
+    def draws(prior_share: float) -> np.ndarray:
+        monkeypatch.setattr("ear_jax.learning.pearl.PRIOR_SHARE", prior_share)
+        return np.asarray(jax.jit(jax.vmap(partial(program.learner.codes_to_act, policy, state.replay)))(keys))
 
-    monkeypatch.setattr("ear_jax.learning.pearl.PRIOR_SHARE", 1.0)
-    np.testing.assert_allclose(draws().std(axis=0), 1, atol=0.15)
-    np.testing.assert_allclose(draws().mean(axis=0), 0, atol=0.2)
-    monkeypatch.setattr("ear_jax.learning.pearl.PRIOR_SHARE", 0.0)
-    np.testing.assert_allclose(draws().mean(axis=0), policy["codes"], atol=0.2)
-    assert (draws().std(axis=0) < 0.5).all()
+    priors = draws(1.0)
+    np.testing.assert_allclose(priors.std(axis=0), 1, atol=0.15)
+    np.testing.assert_allclose(priors.mean(axis=0), 0, atol=0.2)
+    posteriors = draws(0.0)
+    np.testing.assert_allclose(posteriors.mean(axis=0), policy["codes"], atol=0.2)
+    assert (posteriors.std(axis=0) < 0.5).all()

@@ -1,4 +1,4 @@
-"""A policy on one engine does what it does on another. Compiling MJX is most of the time, so these are slow."""
+"""A policy does the same on every engine. Compiling MJX takes minutes, so these tests are slow."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 
 def play_linear(family: str, engine: str) -> Episodes:
-    """Episodes of two tasks under one fixed policy: tanh of random sums of what is observed."""
+    """Plays two tasks under one fixed policy: tanh of random sums of observations."""
     program = make_program(dataclasses.replace(preset_config(family, "smoke"), engine=engine))
     weights = 0.3 * jax.random.normal(jax.random.key(1), (program.family.action_size, program.family.observation_size))
     linear = dataclasses.replace(
@@ -37,7 +37,7 @@ def play_linear(family: str, engine: str) -> Episodes:
 
 @pytest.mark.parametrize("family", [name for name in FAMILIES if name != "reach"])  # see test_reach.py
 def test_whole_episodes_return_alike_on_mjx_and_native(family):
-    """From the same starts. Single episodes part after a few contacts; their mean must not, by 3 standard errors."""
+    """Single episodes from the same starts differ after a few contacts; their means agree within 3 standard errors."""
     native, mjx = (play_linear(family, engine) for engine in ("native", "mjx"))
     gap = np.mean(mjx.returns - native.returns, axis=1)
     error = np.sqrt((np.var(mjx.returns, axis=1) + np.var(native.returns, axis=1)) / EPISODES)
@@ -52,7 +52,7 @@ def test_a_run_continues_and_is_evaluated_on_another_engine(tiny, run_directory,
     assert main([*words(dataclasses.replace(tiny, engine="mjx")), "--out", str(run_directory)]) == 0
     assert "engine native" in capsys.readouterr().err
     after = leaves(last_state(run_directory, tiny).replay)
-    kept = int(before[-1].min())  # transitions a ring, which native collected; they stay, and more came
+    kept = int(before[-1].min())  # transitions in a ring, collected on native: they stay, and more are added
     assert all((one[:, :, :kept] == two[:, :, :kept]).all() for one, two in zip(before[:-1], after[:-1], strict=True))
     assert (after[-1] > before[-1]).all()
     trained = load(run_directory, engine="native")

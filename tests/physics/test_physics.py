@@ -22,7 +22,7 @@ BODIES = ("bfoot", "torso")
 
 
 def random_states(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.ndarray, ...]:
-    """States as training meets them: each after up to 40 steps of random actions from a random start."""
+    """Returns states as training meets them: each after up to 40 steps of random actions from a random start."""
     rng = np.random.default_rng(seed)
     data = mujoco.MjData(model)
     qpos, qvel, warmstart = (np.zeros((count, size), np.float32) for size in (model.nq, model.nv, model.nv))
@@ -38,7 +38,7 @@ def random_states(model: mujoco.MjModel, count: int, seed: int = 0) -> tuple[np.
 
 
 def plain_steps(model: mujoco.MjModel, qpos, qvel, warmstart, action) -> tuple[np.ndarray, ...]:
-    """The same step by a loop; positions are of the new state."""
+    """Takes the same step by a loop; positions are of the new state."""
     data = mujoco.MjData(model)
     after = []
     for row in range(len(qpos)):
@@ -114,24 +114,29 @@ def test_non_finite_state_stays_non_finite_and_alone(cheetah, tmp_path, monkeypa
         np.testing.assert_array_equal(motion.after.qpos[row], clean.after.qpos[row])
 
 
-@pytest.mark.parametrize("filename", ["half_cheetah.xml", "ant.xml", "hopper.xml", "walker2d.xml"])
-def test_models_are_gymnasiums(filename):
-    """All constants are those that MuJoCo compiles from the file itself, but for the margins, which it now adds up."""
-    code = f"""
-import mujoco, numpy as np, os, sys, tempfile
+def test_models_are_gymnasiums():
+    """All constants equal those that MuJoCo compiles from the file, but for the margins, which it now adds up."""
+    code = """
+import mujoco, numpy as np, os, tempfile
 os.chdir(tempfile.mkdtemp())
 from ear_jax.physics.models import gymnasium_model_path, load_model
-ours = load_model({filename!r})
-assert not os.path.exists("MUJOCO_LOG.TXT"), "loading complained"
-theirs = mujoco.MjModel.from_xml_path(str(gymnasium_model_path({filename!r})))
-names = [name for name in dir(theirs) if isinstance(getattr(theirs, name), np.ndarray)]
-assert len(names) > 100
-assert np.ptp(theirs.geom_margin) == 0, "half of one margin for all is exact"
-ours.geom_margin[:] *= 2
-print([name for name in names if not np.array_equal(getattr(ours, name), getattr(theirs, name))])
+for filename in ("half_cheetah.xml", "ant.xml", "hopper.xml", "walker2d.xml"):
+    ours = load_model(filename)
+    assert not os.path.exists("MUJOCO_LOG.TXT"), f"loading {filename} complained"
+    theirs = mujoco.MjModel.from_xml_path(str(gymnasium_model_path(filename)))
+    names = [name for name in dir(theirs) if isinstance(getattr(theirs, name), np.ndarray)]
+    assert len(names) > 100
+    assert np.ptp(theirs.geom_margin) == 0, "half of one margin for all is exact"
+    ours.geom_margin[:] *= 2
+    print(filename, [name for name in names if not np.array_equal(getattr(ours, name), getattr(theirs, name))])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert [line.split(maxsplit=1) for line in done.stdout.splitlines()] == [
+        ["half_cheetah.xml", "[]"],
+        ["ant.xml", "[]"],
+        ["hopper.xml", "[]"],
+        ["walker2d.xml", "[]"],
+    ]
 
 
 def test_model_path_is_inside_gymnasium():
@@ -149,7 +154,7 @@ def test_choice_of_engine(monkeypatch):
 
 
 def test_warp_equals_plain_mujoco_or_says_what_to_install(cheetah):
-    """Warp's kernels run on the CPU too, in their own time; measured there: qpos 3.1e-6 and qvel 1.5e-4 at worst."""
+    """Warp's kernels run on the CPU too, slowly; measured there: qpos 3.1e-6 and qvel 1.5e-4 at worst."""
     if importlib.util.find_spec("warp") is None:
         with pytest.raises(RunError, match=r"pip install 'ear-jax\[warp\]'"):
             make_engine("warp", cheetah, SUBSTEPS, BODIES, (4, 8))
@@ -163,7 +168,7 @@ def test_warp_equals_plain_mujoco_or_says_what_to_install(cheetah):
 
 
 def test_threads_that_share_an_engine_do_not_share_their_simulations(cheetah):
-    """A step of the batch lets go of the GIL: without a lock two callers would write into one another's states."""
+    """A step of the batch releases the GIL: without a lock two callers would write into each other's states."""
     engine = make_engine("native", cheetah, SUBSTEPS, (), (4, 8))
     states = random_states(cheetah, 256)
     roll = jax.jit(

@@ -1,4 +1,4 @@
-"""Agents that ship: cards agree with files, names stand for runs, results stay out of the package, a demo shows one."""
+"""Agents that ship: cards agree with files, names work as runs do, and results stay out of the package."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ AGENT = Path("pretrained:hopper-vel")
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """A copy of the agents that may be harmed."""
+    """Makes a copy of the agents, which a test may damage."""
     copy = Path(shutil.copytree(pretrained.FOLDER, tmp_path / "agents"))
     monkeypatch.setattr(pretrained, "FOLDER", copy)
     return copy
@@ -143,7 +143,7 @@ def test_a_broken_card_is_refused_in_one_line(content, folder, capsys):
 
 
 def test_no_code_is_run_because_a_file_says_so(folder, tmp_path):
-    """A file and a card that agree, and name a Python file as their family."""
+    """The file and its card agree, and name a Python file as their family."""
     evil, path = tmp_path / "evil.py", folder / "evil.safetensors"
     evil.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
     about, arrays = read_policy(folder / "hopper-vel.safetensors")

@@ -1,4 +1,4 @@
-"""One process a directory, and the two signals that ask it to stop."""
+"""One process per directory, and the two signals that ask it to stop."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page on which one steers by the sphere: which piece of a roll-out repeats, and what the page holds of it."""
+"""The page that steers a robot by the sphere of LTEs: the piece of a roll-out that repeats, and the page's data."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SPEED = 2.0
 
 @pytest.fixture
 def gait(cheetah):
-    """5 s at 2 m/s with a leg that swings every 12 steps and slowly tires."""
+    """Returns 5 s at 2 m/s with a leg that swings every 12 steps, a little less each time."""
     trajectory = running(cheetah, SPEED)
     step = np.arange(len(trajectory.qpos))
     trajectory.qpos[:, 3] = 0.5 * np.sin(2 * np.pi * step / 12) * (1 - step / 1000)

@@ -1,4 +1,4 @@
-"""Where robots are seen: trajectories and strips always, pictures where this machine has an OpenGL to draw them."""
+"""Trajectories, strips and films of robots; films need a machine with OpenGL."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tests.helpers.probe import SLIDER, Slider
 
 @pytest.fixture(scope="module")
 def gl() -> None:
-    """Skips where nothing can be drawn."""
+    """Skips a test on a machine without OpenGL."""
     try:
         with Canvas(mujoco.MjModel.from_xml_string(SLIDER), 8, 8):
             pass
@@ -51,7 +51,7 @@ def no_gl(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def run(finished_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that has hardly learnt anything, which is enough to be seen."""
+    """A run that has hardly learnt anything, which is enough to draw."""
     return Path(shutil.copytree(finished_once, tmp_path_factory.mktemp("render") / "run"))
 
 
@@ -173,7 +173,7 @@ def test_robots_that_stand_share_a_panel_where_each_ended():
     assert [track.flag for track in panel.tracks] == [None, None]
     for shown, pose in zip(found.poses, poses, strict=True):
         np.testing.assert_array_equal(shown, [pose])
-    right, left = (track.limbs[0].mean(axis=1) for track in panel.tracks)  # of the robot, which faces us
+    right, left = (track.limbs[0].mean(axis=1) for track in panel.tracks)  # of the robot, which faces the camera
     assert (left - right)[:, 0].max() == pytest.approx(0.2, abs=0.03), "fingers"
     assert found.caption == "across (m), last pose of each"
 
@@ -295,7 +295,7 @@ def test_without_opengl_one_line_says_what_to_install_and_the_strip_still_comes(
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_leaves_nothing(run, words, complaint, capsys):
-    before = sorted(run.rglob("*"))  # whatever other tests have left
+    before = sorted(run.rglob("*"))  # other tests may have left files
     assert main(["render", str(run), *words.split()]) == 2
     streams = capsys.readouterr()
     assert complaint in streams.err

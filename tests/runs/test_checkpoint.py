@@ -1,4 +1,4 @@
-"""Checkpoints: what is saved comes back, and what was damaged since is found, named and done without."""
+"""Checkpoints: a saved state comes back to the bit, and a damaged one is found, named and passed over."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def test_the_manifest_is_sha256sums(steps):
 
 
 def test_every_flipped_bit_is_found(finished):
-    """Anywhere in a real checkpoint: arrays, Orbax's own files, what it says of itself, the manifest."""
+    """Bits are flipped anywhere in a real checkpoint: arrays, Orbax's own files, its description, the manifest."""
     step = finished / "checkpoints" / "24"
     files = sorted(path for path in step.rglob("*") if path.is_file())
     assert {"SHA256SUMS", "about.json"} <= {path.name for path in files}
@@ -178,7 +178,7 @@ def test_a_save_that_fails_leaves_the_steps_before(state, steps, small_files):
 
 
 def test_saved_on_two_devices_it_loads_on_one_and_back(finished, tmp_path):
-    """Two emulated devices, a seed on each."""
+    """The two devices are emulated, with a seed on each."""
     code = """
 import sys; sys.path.insert(0, sys.argv[1])
 from pathlib import Path
@@ -202,7 +202,7 @@ checkpoint.save(Path(sys.argv[3]) / "checkpoints", 24, state, {})
 
 
 def test_a_checkpoint_of_the_first_format_loads_and_its_run_goes_on(tmp_path, compiled_once):
-    """Written in November 2026 and never since: what breaks this loses users' runs."""
+    """It was written in November 2026 and never changed: a failure here means that users lose their runs."""
     directory = Path(shutil.copytree(FIXTURES / "format-1", tmp_path / "run"))
     trained = load(directory)
     codes = trained.program.agent.codes(jax.tree.map(lambda leaf: leaf[0], trained.policies))

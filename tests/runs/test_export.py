@@ -1,4 +1,4 @@
-"""One policy in one file: it is the run's, it loads wherever a run does, and a damaged one is refused."""
+"""A policy in one file: it equals the run's, loads wherever a run does, and is refused if damaged."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_file_is_the_runs_policy_without_its_replay(finished, exported):
 
 
 def test_others_read_its_layout_and_its_code_table(finished, exported):
-    """By the format's description alone."""
+    """The test reads the file by the format's description alone."""
     content = exported.read_bytes()
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])
@@ -116,7 +116,7 @@ def test_export_overwrites_nothing(finished, exported, capsys):
 
 
 def test_code_is_run_only_where_the_user_names_it(exported, finished, tmp_path):
-    """A checkpoint and a file that are whole in every way, and name a Python file as their family."""
+    """The checkpoint and the file are valid, and name a Python file as their family."""
     evil = tmp_path / "evil.py"
     evil.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
     policies, step = load(exported), finished / "checkpoints" / "24"

@@ -1,4 +1,4 @@
-"""Numbers that go bad: one environment's stay its own, and a loss that is not finite ends the run with a report."""
+"""Numbers that are not finite: in one environment they stay there, and in a loss they end the run with a report."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STEPS = 15
 
 
 class Breaking:
-    """An engine whose speeds are not finite where the mass was past a limit."""
+    """An engine whose speeds are not finite once the mass was past a limit."""
 
     def __init__(self, engine, limit: float):
         self.name, self._engine, self._limit = engine.name, engine, limit
@@ -40,7 +40,7 @@ class Breaking:
 
 
 class Poisoned(Slider):
-    """Slides as Slider does, and past `limit` the physics of that one environment breaks."""
+    """A Slider; past `limit` the physics of that one environment breaks."""
 
     limit = 1e9
 
@@ -50,7 +50,7 @@ class Poisoned(Slider):
 
 
 def collected(limit: float, monkeypatch, state=None) -> tuple[training.TrainState, training.TrainState, float]:
-    """A run's state before and after an epoch of collection, and how many steps that counted as bad."""
+    """Returns a run's state before and after an epoch of collection, and the number of steps counted as bad."""
     monkeypatch.setattr(Poisoned, "limit", limit)
     monkeypatch.setitem(FAMILIES, "probe", Poisoned)
     few = tiny_config().collect
@@ -61,7 +61,7 @@ def collected(limit: float, monkeypatch, state=None) -> tuple[training.TrainStat
 
 
 def transitions(state: training.TrainState, task: int) -> set[tuple[float, ...]]:
-    """What a task's ring holds, to the bit and in any order."""
+    """Returns the transitions in a task's ring, to the bit and in any order."""
     rings = jax.tree.map(lambda ring: np.asarray(ring[task, : state.replay.added[task]]), state.replay.rings)
     columns = [leaf.reshape(len(leaf), -1) for leaf in jax.tree.leaves(rings)]
     return set(map(tuple, np.concatenate(columns, axis=1).tolist()))
@@ -84,7 +84,7 @@ def test_one_bad_environment_of_one_task_leaves_the_others_to_the_bit(monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("numbers", "sound"),
+    ("numbers", "finite"),
     [
         ((1.0, [2.0, -3.0]), True),
         ((1.0, [2.0, jnp.nan]), False),
@@ -93,8 +93,8 @@ def test_one_bad_environment_of_one_task_leaves_the_others_to_the_bit(monkeypatc
         ((-2e10,), False),
     ],
 )
-def test_what_is_sound(numbers, sound):
-    assert bool(is_finite(jax.tree.map(jnp.asarray, numbers))) == sound
+def test_numbers_are_finite_and_of_a_sane_size(numbers, finite):
+    assert bool(is_finite(jax.tree.map(jnp.asarray, numbers))) == finite
 
 
 def test_mujocos_warnings_leave_no_file(tmp_path, monkeypatch, capfd):
@@ -109,15 +109,15 @@ def test_mujocos_warnings_leave_no_file(tmp_path, monkeypatch, capfd):
 
 
 def test_a_loss_that_is_not_finite_ends_the_run_and_leaves_the_last_good_step(finished, monkeypatch):
-    """The second task's targets go bad at the first update after epoch 24."""
+    """The second task's targets are NaN from the first update after epoch 24."""
     before = leaves(last_state(finished, finished_config()))
     rows = records.read_rows(finished / "metrics.jsonl")
-    target = sac.losses.td_target
+    target = sac.losses.critic_targets
 
-    def poisoned(batch, *arguments):
-        return jnp.where(batch.task == 1, jnp.nan, target(batch, *arguments))
+    def poisoned(critic, predictions, batch, *arguments):
+        return jnp.where(batch.task == 1, jnp.nan, target(critic, predictions, batch, *arguments))
 
-    monkeypatch.setattr(sac.losses, "td_target", poisoned)
+    monkeypatch.setattr(sac.losses, "critic_targets", poisoned)
     with pytest.raises(RunError, match=r"seed 0 failed: actor_loss is nan after 96 updates \(task vel-3\)"):
         train_run(finished_config(epochs=30), finished)
     report = json.loads((finished / "failure.json").read_text())

@@ -1,4 +1,4 @@
-"""Runs that are killed, stopped, starved of disk or mistaken for another; each as a user would meet it."""
+"""Runs that are killed, stopped, short of disk or mistaken for another, as they happen to a user."""
 
 from __future__ import annotations
 
@@ -28,12 +28,14 @@ from ear_jax.runs.training import make_program
 from ear_jax.tasks import Task, task_set
 from tests.helpers.runs import finished_config, last_state, leaves, stray_writes, words
 
+ROOT = Path(__file__).parents[2]
+
 
 @contextmanager
 def training(config: Config, directory: Path, said: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """`ear train` in a process of its own, whose stderr goes to a file."""
-    command = [sys.executable, "-m", "ear_jax.cli.main", *words(config), "--out", str(directory)]
-    environment = {**os.environ, "EAR_JAX_CACHE": str(said.parent / "cache")}
+    """Runs `ear train` in a process of its own, whose stderr goes to a file."""
+    command = [sys.executable, "-m", "tests.helpers.quick", *words(config), "--out", str(directory)]
+    environment = {**os.environ, "EAR_JAX_CACHE": str(said.parent / "cache"), "PYTHONPATH": str(ROOT)}
     with said.open("wb") as stderr, subprocess.Popen(command, env=environment, stderr=stderr) as process:
         try:
             yield process
@@ -42,7 +44,7 @@ def training(config: Config, directory: Path, said: Path) -> Iterator[subprocess
 
 
 def wait_for(process: subprocess.Popen[bytes], happened: Callable[[], bool], seconds: float = 600) -> None:
-    """Looks a thousand times a second; fails where the process ends before it happens."""
+    """Looks a thousand times a second; fails if the process ends before it happens."""
     until = time.monotonic() + seconds
     while not happened():
         assert process.poll() is None, f"it ended with {process.returncode} before that"
@@ -51,7 +53,7 @@ def wait_for(process: subprocess.Popen[bytes], happened: Callable[[], bool], sec
 
 
 def assert_same_run(one: Path, other: Path, config: Config) -> None:
-    """The same last state to the bit, and the same rows but for the clock."""
+    """Asserts the same last state to the bit, and the same rows but for the clock."""
     for mine, yours in zip(leaves(last_state(one, config)), leaves(last_state(other, config)), strict=True):
         np.testing.assert_array_equal(mine, yours)
     rows, others = (records.read_rows(directory / "metrics.jsonl") for directory in (one, other))
@@ -60,8 +62,8 @@ def assert_same_run(one: Path, other: Path, config: Config) -> None:
     assert [(row["epoch"], row["seed"]) for row in rows] == [(epoch, seed) for epoch in blocks for seed in seeds]
 
 
-def saving(directory: Path, since: float) -> bool:
-    """Whether a step is being written that was begun since then; others are what killed processes left."""
+def is_saving(directory: Path, since: float) -> bool:
+    """Returns whether a step is being written that was begun since then, and not left by a killed process."""
     with contextlib.suppress(FileNotFoundError):
         return any(path.stat().st_mtime > since for path in (directory / "checkpoints").glob(".*.part"))
     return False
@@ -100,7 +102,7 @@ MOMENTS = ("pretraining", "pretraining", "pretraining", *("training", "saving") 
 
 @pytest.mark.slow
 def test_killed_at_twenty_random_moments_it_ends_as_if_nothing_had_been(tmp_path):
-    """Three in pretraining, nine in training, eight in saving, each up to a few tenths of a second in."""
+    """Three kills are in pretraining, nine in training and eight in saving, each a few tenths of a second in."""
     config = finished_config(epochs=600, checkpoint=CheckpointConfig(blocks=4))
     directory, said, dice = tmp_path / "run", tmp_path / "said", random.Random(0)
     for moment in MOMENTS:
@@ -108,7 +110,7 @@ def test_killed_at_twenty_random_moments_it_ends_as_if_nothing_had_been(tmp_path
         with training(config, directory, said) as process:
             wait_for(process, lambda: "compiling:" in said.read_text())
             if moment == "saving":
-                wait_for(process, lambda: saving(directory, began))  # noqa: B023
+                wait_for(process, lambda: is_saving(directory, began))  # noqa: B023
                 time.sleep(dice.uniform(0, 0.1))
             elif moment == "training":
                 wait_for(process, lambda: re.search(r"epoch \d+/", said.read_text()) is not None)
@@ -124,7 +126,7 @@ def test_killed_at_twenty_random_moments_it_ends_as_if_nothing_had_been(tmp_path
 
 
 @stray_writes
-def test_a_full_disk_is_survived_and_told(finished, monkeypatch, small_files, capsys, compiled_once):
+def test_a_full_disk_is_reported_and_the_run_goes_on(finished, monkeypatch, small_files, capsys, compiled_once):
     save = checkpoint.save
 
     def with_little_room(*arguments):
@@ -179,19 +181,19 @@ def test_without_its_replay_a_checkpoint_is_small_and_continuing_says_what_it_co
     said = capsys.readouterr().err
     assert "epoch 26 was saved without its replay; 2 epochs of collection (40 env steps per seed) refill it" in said
     rows = records.read_rows(finished / "metrics.jsonl")
-    # 2 tasks × 2 envs × 5 steps an epoch; 2 epochs of pretraining, and the same again
+    # 2 tasks × 2 envs × 5 steps an epoch; 2 epochs of pretraining, and 2 more
     assert [(row["epoch"], row["env_steps"]) for row in rows[-4::2]] == [(26, 560), (28, 640)]
     assert checkpoint.newest(steps, pytest.fail).about["replay"]
 
 
 def times(directory: Path) -> dict[Path, int]:
-    """When each file was changed last; the lock is whoever's that looked."""
+    """Returns when each file was changed last, but for the lock, which every reader changes."""
     return {path: path.stat().st_mtime_ns for path in directory.rglob("*") if path.name != "lock"}
 
 
 @pytest.fixture
 def refusal(finished, monkeypatch) -> Callable[..., str]:
-    """What training that run is refused with, before anything is compiled or written."""
+    """Returns the message with which training that run is refused, before anything is compiled or written."""
     monkeypatch.setattr(loop, "compile_program", lambda *_: pytest.fail("it came to compiling"))
 
     def refuse(config: Config) -> str:
@@ -221,7 +223,7 @@ def test_changed_settings(refusal):
 
 
 def test_another_task_set_under_the_same_name(refusal, monkeypatch):
-    """As when a family's own file has changed since."""
+    """It happens when a family's own file has changed since."""
     from ear_jax.envs.halfcheetah_vel import HalfCheetahVel
 
     parse, params = HalfCheetahVel.parse_task, {"velocity": 9.0}
@@ -239,7 +241,7 @@ def test_another_task_set_under_the_same_name(refusal, monkeypatch):
     ],
 )
 def test_a_checkpoint_of_another_family_or_width(setting, value, complaint, refusal, finished):
-    """Copied into this run's directory, whole, from another's."""
+    """The checkpoint was copied whole from another run's directory."""
     state = last_state(finished, finished_config())
     step = checkpoint.newest(finished / "checkpoints", pytest.fail)
     config = step.about["config"]
@@ -249,7 +251,7 @@ def test_a_checkpoint_of_another_family_or_width(setting, value, complaint, refu
 
 
 def test_a_checkpoint_whose_arrays_are_anothers(finished):
-    """One that says it is this run's, and is not."""
+    """The checkpoint claims to be this run's."""
     wide = dataclasses.replace(MORE, network=dataclasses.replace(MORE.network, width=32))
     with pytest.raises(RunError, match=r"24 does not fit this run: .* is float32 \[2, .*16\], not .*32\]"):
         last_state(finished, wide)
@@ -264,7 +266,7 @@ def test_a_planted_pickle(refusal, finished):
 
 
 def test_a_directory_that_cannot_be_written(refusal, finished, monkeypatch):
-    """The tests may run as root, whom no mode keeps out."""
+    """The tests may run as root, who can write everywhere, so `os.access` is patched."""
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != finished)
     assert refusal(MORE) == f"cannot write in {finished}"
 

@@ -1,4 +1,4 @@
-"""Seeds spread over devices are the seeds of one device."""
+"""Seeds spread over several devices train as on one."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ def test_as_many_devices_as_divide_the_seeds(devices, wanted, used, monkeypatch)
 
 @pytest.mark.usefixtures("compiled_once")
 def test_a_run_on_two_devices_is_the_run_on_one_and_goes_on_there(tmp_path):
-    """Two emulated devices, a seed on each; then both seeds on the one device of this process."""
+    """Trains on two emulated devices, a seed on each, then both seeds on the one device of this process."""
     config = tiny_config(seeds=2)
     code = """
 import sys; sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 import jax
+from tests.helpers.quick import compile_quickly
 from tests.helpers.runs import tiny_config
 from ear_jax.runs import loop
+compile_quickly()
 devices = []
 save = loop._save
 loop._save = lambda directory, state, *rest: (
