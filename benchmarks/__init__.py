@@ -1,1 +1,1 @@
-"""One script a question: `python -m benchmarks.NAME [--quick]` prints JSON rows and keeps them in `results/`."""
+"""Benchmarks: `python -m benchmarks.NAME [--quick]` prints JSON rows and appends them to `results/`."""

@@ -1,8 +1,8 @@
-"""Seconds that `ear adapt`, `ear interpolate` and `ear map` take, and a plain Python loop over candidates beside them.
+"""Wall time of `ear adapt`, `ear interpolate` and `ear map`, compared with a plain Python loop over candidates.
 
-The commands are timed whole, in fresh processes: start, compilation, roll-outs and figures. They play an agent that
-ships with the package. The loop does what the original does: one candidate after another, one environment, a policy
-call a step.
+Commands are timed from start to exit, in fresh processes: start, compilation, roll-outs and figures. They play an agent
+that ships with the package. The loop works as the original code does: one candidate after another, in one environment,
+with one policy call for each step.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ear_jax.physics import Physics
 from ear_jax.runs.trained import Trained, load
 
 RUN = "pretrained:halfcheetah-vel"
-COMMANDS = {  # what is timed: the words after the run, and the environment steps they take
+COMMANDS = {  # arguments after the run, and the env steps that they take
     "map": (("--places", "2000"), 2000 * 200),
     "interpolate": (("--all-pairs",), 9 * 99 * 3 * 200),
     "adapt": ((), 3 * 10 * 90 * 200),
@@ -35,26 +35,26 @@ COMMANDS = {  # what is timed: the words after the run, and the environment step
 QUICK = {"adapt": ("--epochs", "1"), "interpolate": ("--episodes", "1"), "map": ()}
 
 
-def time_command(words: tuple[str, ...], place: str) -> float:
-    """Seconds of an `ear` command in a working directory, where it leaves what it finds."""
+def time_command(words: tuple[str, ...], directory: str) -> float:
+    """Returns the seconds of an `ear` command that writes to a working directory."""
     began = time.perf_counter()
     root = Path(__file__).resolve().parents[1]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     command = [sys.executable, "-m", "ear_jax.cli.main", *words]
-    subprocess.run(command, check=True, capture_output=True, cwd=place, env=environment)
+    subprocess.run(command, check=True, capture_output=True, cwd=directory, env=environment)
     return time.perf_counter() - began
 
 
 def loop_steps_per_second(trained: Trained, candidates: int) -> float:
-    """Environment steps a second of candidates one after another, stepped by MuJoCo's own `mj_step`."""
+    """Returns env steps per second of candidates played one after another with MuJoCo's `mj_step`."""
     family, agent = trained.program.family, trained.program.agent
     policy = jax.tree.map(lambda leaf: leaf[0], trained.policies)
-    still = jnp.zeros(family.action_size)
+    no_noise = jnp.zeros(family.action_size)
 
     @jax.jit
     def act(code: jax.Array, qpos: np.ndarray, qvel: np.ndarray) -> jax.Array:
         obs = family.observe(Physics(jnp.asarray(qpos), jnp.asarray(qvel), jnp.zeros_like(qvel)))
-        return squash(agent.distribution(policy, code, obs), still)
+        return squash(agent.distribution(policy, code, obs), no_noise)
 
     data = mujoco.MjData(family.model)
 
@@ -72,23 +72,23 @@ def loop_steps_per_second(trained: Trained, candidates: int) -> float:
     return candidates * family.episode_length / (time.perf_counter() - began)
 
 
-def measure(options: argparse.Namespace, command: str, trained: Trained, place: str) -> None:
-    """One command, and the loop before each of its runs, so that their ratio holds while the machine drifts."""
+def measure(options: argparse.Namespace, command: str, trained: Trained, directory: str) -> None:
+    """Times a command, with the loop before each of its runs so that their ratio is robust to drift of the machine."""
     words, steps = COMMANDS[command]
     words = (command, RUN, *words, *(QUICK[command] if options.quick else ()), "--json")
     repeats = 1 if options.quick else 3
     seconds, loops = [], []
     for _ in range(repeats):
         loops.append(loop_steps_per_second(trained, 2 if options.quick else 20))
-        seconds.append(time_command(words, place))
-    faster = [steps / rate / took for rate, took in zip(loops, seconds, strict=True)]
+        seconds.append(time_command(words, directory))
+    speedups = [steps / rate / elapsed for rate, elapsed in zip(loops, seconds, strict=True)]
     row = {
         "command": command,
         "env_steps": steps,
         "repeats": repeats,
         **common.spread("seconds", seconds),
         **common.spread("loop_env_steps_per_second", loops),
-        **common.spread("times_faster_than_loop", faster),
+        **common.spread("times_faster_than_loop", speedups),
     }
     common.write_row(options, "adaptation", row)
 
@@ -96,9 +96,9 @@ def measure(options: argparse.Namespace, command: str, trained: Trained, place: 
 def main() -> None:
     options = common.arguments(__doc__)
     trained = load(Path(RUN))
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as directory:
         for command in COMMANDS:
-            measure(options, command, trained, place)
+            measure(options, command, trained, directory)
 
 
 if __name__ == "__main__":

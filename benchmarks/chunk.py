@@ -1,4 +1,4 @@
-"""Time of an epoch of training by its parts, each compiled alone, and of the whole, as runs have it, beside the sum."""
+"""Wall time of an epoch of training: its parts, each compiled alone, and the whole epoch as in a run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Step = Callable[[Any], Any]
 
 
 def collect(program: Program, state: TrainState) -> Transition:
-    """The roll-out of an epoch."""
+    """Returns the transitions of an epoch's roll-out."""
     settings, family, policy = program.config.collect, program.family, state.learner.policy
     noise = jax.random.normal(state.key, (settings.steps, len(program.tasks), settings.envs, family.action_size))
     act = act_with(program.agent, policy, program.agent.codes(policy))
@@ -37,14 +37,14 @@ def collect(program: Program, state: TrainState) -> Transition:
 
 
 def update(program: Program, state: TrainState) -> SacState:
-    """The updates of an epoch."""
+    """Returns the learner after an epoch's updates."""
     learner = program.learner.observe(state.learner, state.replay)
     draws = program.learner.draw(state.key, program.config.sac.updates)
     return jax.lax.scan(lambda carry, drawn: program.learner.update(carry, state.replay, drawn), learner, draws)[0]
 
 
 def repeat(step: Step, carried: Any) -> Callable[[], None]:
-    """A call that steps from where the last one left; `carried` is given away."""
+    """Returns a call that continues from the result of the previous one; `carried` is donated."""
 
     def run() -> None:
         nonlocal carried
@@ -54,13 +54,13 @@ def repeat(step: Step, carried: Any) -> Callable[[], None]:
 
 
 def epoch_run(program: Program, state: TrainState) -> Callable[[], None]:
-    """A call that trains for an epoch as runs do; `state`, leaves [seeds, …], is given away."""
+    """Returns a call that trains for an epoch as a run does; `state`, leaves [seeds, …], is donated."""
     compiled = loop.compile_program(program, training.seed_keys(program.config))
     return repeat(lambda state: loop.train_epochs(compiled, state, 1)[0], state)
 
 
 def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, Callable[[], Any]]:
-    """The parts and the whole of an epoch; leaves are [seeds, …]."""
+    """Returns a call for each part of an epoch and for the whole; leaves are [seeds, …]."""
     compiled = partial(jax.jit, compiler_options=runtime.compiler_options())
     state = start()
     rolled_out, updated = (compiled(jax.vmap(partial(part, program))) for part in (collect, update))

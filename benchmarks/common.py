@@ -1,4 +1,4 @@
-"""What the benchmarks share: alternatives timed in turn, and rows with where they were measured. Imports no JAX."""
+"""Shared code of the benchmarks: interleaved timing, and rows with their machine and commit. Imports no JAX."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ RESULTS = Path(__file__).resolve().parent / "results"
 
 
 def arguments(documentation: str | None) -> argparse.Namespace:
-    """The command line every benchmark has."""
+    """Parses the command line of a benchmark."""
     parser = argparse.ArgumentParser(description=documentation)
-    parser.add_argument("--quick", action="store_true", help="small sizes: shows that it works, and measures nothing")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="directory of the JSON lines")
+    parser.add_argument(
+        "--quick", action="store_true", help="small sizes: checks that the benchmark works; the timings mean nothing"
+    )
+    parser.add_argument("--results", type=Path, default=RESULTS, help="directory of the JSON lines files")
     return parser.parse_args()
 
 
@@ -29,17 +31,17 @@ class Timing:
     """Repeated runs of one contender."""
 
     seconds: list[float]
-    cores: list[float]  # CPU seconds of this process a second: under a busy machine, or threads sharing a core, too few
+    cores: list[float]  # CPU seconds of this process per second; low on a busy machine or if threads share a core
 
 
 def alternate(contenders: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Timing]:
     """Times each contender's runs.
 
-    They run in turn, A B A B …, so that the n-th runs of two of them are neighbours and their ratio holds while the
-    machine's speed drifts. Each runs once beforehand, untimed, which compiles and warms it.
+    Runs are interleaved, A B A B …, so that the ratio of the n-th runs of two contenders is robust to drift of the
+    machine's speed. Each contender first runs once untimed, to compile and warm up.
 
     Args:
-      contenders: by name; each call must not return before its work is done.
+      contenders: calls by name; a call must not return before its work is done.
       repeats: timed runs of each.
     """
     for run in contenders.values():
@@ -56,18 +58,18 @@ def alternate(contenders: dict[str, Callable[[], Any]], repeats: int) -> dict[st
 
 
 def spread(name: str, values: Sequence[float]) -> dict[str, float]:
-    """The median of repeated figures under `name`, and their range beside it."""
+    """Returns the median of repeated measurements under `name`, with their minimum and maximum."""
     figures = {name: statistics.median(values), f"{name}_min": min(values), f"{name}_max": max(values)}
     return {key: float(f"{value:.5g}") for key, value in figures.items()}
 
 
 def ratios(numerators: Sequence[float], denominators: Sequence[float]) -> list[float]:
-    """Of neighbouring runs."""
-    return [one / other for one, other in zip(numerators, denominators, strict=True)]
+    """Returns the ratios of paired runs."""
+    return [above / below for above, below in zip(numerators, denominators, strict=True)]
 
 
 def write_row(options: argparse.Namespace, benchmark: str, row: dict[str, Any]) -> None:
-    """Prints one row and appends it to the benchmark's file."""
+    """Prints a row and appends it to the benchmark's file."""
     row = {"benchmark": benchmark, "quick": options.quick, **row, **records.provenance()}
     print(json.dumps(row), flush=True)
     options.results.mkdir(parents=True, exist_ok=True)

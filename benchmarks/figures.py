@@ -1,4 +1,4 @@
-"""Draws `results/benchmarks.png` from the JSON lines in `results/` alone; the last row of each setting counts."""
+"""Draws `results/benchmarks.png` from the JSON lines in `results/`; the last row of each setting counts."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from ear_jax.runs import records
 Row = dict[str, Any]
 ENGINES = ("raw", "native", "mjx", "gymnasium-async", "gymnasium-sync", "spring", "warp")
 COLOUR = dict(zip(ENGINES, (*COLOURS, "0.4"), strict=True))
-TARGET = 0.95  # of raw speed, for the native engine
+TARGET = 0.95  # fraction of raw speed, for the native engine
 
 
 def latest(path: Path, keys: tuple[str, ...]) -> list[Row]:
-    """The last row of each setting, by the keys that name one; quick rows only where there are no others."""
+    """Returns the last row of each setting, identified by `keys`; quick rows only if there are no others."""
     rows = [row for row in records.read_rows(path) if "unavailable" not in row]
     rows = [row for row in rows if not row["quick"]] or rows
     return list({tuple(row.get(key) for key in keys): row for row in rows}.values())
 
 
 def bars(axes: Axes, groups: list[str], series: list[tuple[str, str, list[Row | None]]], figure: str) -> None:
-    """Grouped bars of medians, each with the range of its runs.
+    """Draws grouped bars of medians, each with the range of its runs.
 
     Args:
-      axes: where.
+      axes: the axes to draw on.
       groups: names along the x axis.
-      series: label, colour, and a row or nothing for each group.
-      figure: the key of the median; `_min` and `_max` are beside it.
+      series: label, colour, and a row or None for each group.
+      figure: the key of the median; `_min` and `_max` are appended for the range.
     """
     width = 0.8 / max(1, len(series))
     for index, (label, colour, rows) in enumerate(series):
-        present = [(place, row) for place, row in enumerate(rows) if row]
-        x = [place + (index - (len(series) - 1) / 2) * width for place, _ in present]
+        present = [(group, row) for group, row in enumerate(rows) if row]
+        x = [group + (index - (len(series) - 1) / 2) * width for group, _ in present]
         middle, low, high = (
             np.array([row[key] for _, row in present]) for key in (figure, f"{figure}_min", f"{figure}_max")
         )
@@ -51,15 +51,15 @@ def bars(axes: Axes, groups: list[str], series: list[tuple[str, str, list[Row | 
 
 
 def draw_physics(axes: Axes, rows: list[Row]) -> None:
-    """Environment steps a second by family, an engine a colour, each at its largest batch."""
+    """Draws env steps per second by family; each engine has a colour and its largest batch."""
     families = list(dict.fromkeys(row["family"] for row in rows))
     series = []
     for engine in ENGINES:
-        # Raw runs beside every engine: the ones paired with the native engine are shown.
-        mine = [row for row in rows if row["engine"] == engine and row.get("beside") in (None, engine, "native")]
-        if mine:
-            batch = max(row["batch"] for row in mine)
-            by_family = {row["family"]: row for row in mine if row["batch"] == batch}
+        # Raw runs are paired with every engine; those paired with the native engine are shown.
+        measured = [row for row in rows if row["engine"] == engine and row.get("beside") in (None, engine, "native")]
+        if measured:
+            batch = max(row["batch"] for row in measured)
+            by_family = {row["family"]: row for row in measured if row["batch"] == batch}
             series.append((f"{engine}, {batch}", COLOUR[engine], [by_family.get(family) for family in families]))
     bars(axes, [_lines(family) for family in families], series, "env_steps_per_second")
     axes.set(ylabel="env steps per second", title="Physics, by engine and batch")
@@ -68,7 +68,7 @@ def draw_physics(axes: Axes, rows: list[Row]) -> None:
 
 
 def draw_ratios(axes: Axes, rows: list[Row]) -> None:
-    """The native engine's speed as a part of raw `mujoco.batch`'s, by batch."""
+    """Draws the native engine's speed as a fraction of raw `mujoco.batch`'s, by batch."""
     native = [row for row in rows if row["engine"] == "native"]
     families, batches = (list(dict.fromkeys(row[key] for row in native)) for key in ("family", "batch"))
     find = {(row["family"], row["batch"]): row for row in native}
@@ -83,22 +83,22 @@ def draw_ratios(axes: Axes, rows: list[Row]) -> None:
 
 
 def draw_updates(axes: Axes, rows: list[Row]) -> None:
-    """Time of an update and of its matmuls, with their ratio."""
+    """Draws the time of an update and of its matmuls, with their ratio."""
     groups = [f"{row['preset']}\n{row['seeds']} seed{'s' * (row['seeds'] > 1)}" for row in rows]
     parts = (("whole update", COLOURS[0], "update_ms"), ("its matmuls alone", COLOURS[1], "matmuls_ms"))
     renamed = [(label, colour, [_rename(row, key) for row in rows]) for label, colour, key in parts]
     bars(axes, groups, renamed, "ms")
-    for place, row in enumerate(rows):
+    for group, row in enumerate(rows):
         top = max(row["update_ms_max"], row["matmuls_ms_max"])
-        axes.annotate(f"× {row['ratio_to_matmuls']:.2f}", (place, top * 1.15), ha="center", fontsize=8)
-    axes.set(ylabel="time of one update (ms)", title="Gradient update beside its matmuls")
+        axes.annotate(f"× {row['ratio_to_matmuls']:.2f}", (group, top * 1.15), ha="center", fontsize=8)
+    axes.set(ylabel="time of one update (ms)", title="Gradient update and its matmuls")
     axes.margins(y=0.15)
     _log_scale(axes)
     axes.legend(frameon=False, fontsize=7, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.18))
 
 
 def draw_startup(axes: Axes, rows: list[Row]) -> None:
-    """From the command to the first row of metrics, phase upon phase."""
+    """Draws the time from the command to the first row of metrics, as stacked phases."""
     rows = [row for row in reversed(rows) if row["what"] == "first_row"]  # barh draws upwards
     phases = ("setup", "compile", "pretrain", "first_block")
     floor = np.zeros(len(rows))
@@ -113,7 +113,7 @@ def draw_startup(axes: Axes, rows: list[Row]) -> None:
 
 
 def draw_peers(axes: Axes, rows: list[Row]) -> None:
-    """Time of an update beside PyTorch's."""
+    """Draws the time of an update, ours and PyTorch's."""
     rows = [row for row in rows if row["what"] == "update"]
     parts = (("ours", COLOURS[0], "ours_ms"), ("ours, bf16", COLOURS[3], "ours_bf16_ms"))
     parts += (("PyTorch", COLOURS[1], "torch_ms"), ("PyTorch, bf16", COLOURS[2], "torch_bf16_ms"))
@@ -125,10 +125,10 @@ def draw_peers(axes: Axes, rows: list[Row]) -> None:
 
 
 def draw_adaptation(axes: Axes, rows: list[Row]) -> None:
-    """Seconds that whole commands take."""
+    """Draws the wall time of whole commands."""
     groups = [f"ear {row['command']}\n{row['env_steps']:,} env steps" for row in rows]
     bars(axes, groups, [("", COLOURS[0], list(rows))], "seconds")
-    axes.set(ylabel="seconds, start and compilation included", title="What a trained policy is asked")
+    axes.set(ylabel="seconds, start and compilation included", title="Commands on a trained policy")
     axes.set_ylim(0)
 
 
@@ -144,14 +144,14 @@ def _lines(family: str) -> str:
 
 
 def _rename(row: Row, key: str) -> Row | None:
-    """The figure under `key` as `ms`; None where the row has it not."""
+    """Returns the measurement under `key` renamed to `ms`; None if the row lacks it."""
     if key not in row:
         return None
     return {f"ms{end}": row[f"{key}{end}"] for end in ("", "_min", "_max")}
 
 
 def _where(rows: list[Row]) -> str:
-    """On what machines the rows were measured, and of which commits."""
+    """Returns the machines and commits of the rows."""
     machines = {f"{row['machine']['processor']}, {row['machine']['cores']} cores" for row in rows}
     return " · ".join([*sorted(machines), *sorted({row["commit"] for row in rows})])
 
@@ -177,7 +177,7 @@ def main() -> None:
         if not any(rows for _, rows in panels):
             raise SystemExit(f"no results in {options.results}: run the other benchmarks first")
         quick = any(row["quick"] for _, rows in panels for row in rows)
-        title = "medians and ranges" + (" · quick runs, which measure nothing" if quick else "")
+        title = "medians and ranges" + (" · quick runs, whose timings mean nothing" if quick else "")
         figure.suptitle(title, fontsize=9)
         figure.savefig(options.results / "benchmarks.png")
     print(options.results / "benchmarks.png")

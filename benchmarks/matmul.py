@@ -1,6 +1,6 @@
-"""Time of one gradient update that multiplies bfloat16, beside one that multiplies float32.
+"""Wall time of a gradient update with bfloat16 matmuls, compared with float32.
 
-`times_faster` is the median ratio of paired runs. What it is depends on the processor: AMX makes the difference.
+`times_faster` is the median ratio of paired runs. It depends on the processor: bfloat16 is faster only with AMX.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ def with_matmul(config: Config, matmul: Literal["float32", "bfloat16"]) -> Confi
 def measure(options: argparse.Namespace, width: int, updates: int, repeats: int) -> None:
     config = preset_config("ant-dir", "fast")
     config = dataclasses.replace(config, network=dataclasses.replace(config.network, width=width))
-    plain, rounding = (training.make_program(with_matmul(config, matmul)) for matmul in ("float32", "bfloat16"))
+    plain, rounded = (training.make_program(with_matmul(config, matmul)) for matmul in ("float32", "bfloat16"))
     state = jax.jit(jax.vmap(partial(filled, plain)))(training.seed_keys(config))
     contenders = {
         "float32": update_run(plain, state, updates),
-        "bfloat16": update_run(rounding, state, updates),
+        "bfloat16": update_run(rounded, state, updates),
     }
     timings = common.alternate(contenders, repeats)
     row = {

@@ -1,9 +1,9 @@
-"""SBX's SAC on Gymnasium's HalfCheetah, for `benchmarks.peers`, which starts it in an environment of its own.
+"""SBX's SAC on Gymnasium's HalfCheetah; `benchmarks.peers` runs it in a virtual environment of its own.
 
     python peer_sbx.py SETTINGS
 
-SETTINGS is a JSON object: `envs`, `width`, `layers`, `batch_size`, `steps` to time, each with one update. Prints the
-environment steps a second, collection and updates together.
+SETTINGS is a JSON object: `envs`, `width`, `layers`, `batch_size`, and `steps` to time, each with one update. Prints
+env steps per second, collection and updates together.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The same update in plain PyTorch, for `benchmarks.peers`, which starts it in an environment of its own.
+"""The same update in plain PyTorch; `benchmarks.peers` runs it in a virtual environment of its own.
 
     python peer_torch.py SETTINGS
 
-SETTINGS is a JSON object: sizes of the networks and the batch, `updates` to time, `bf16`. Prints milliseconds each.
-Batches lie ready, as gathering them is no part of what is compared.
+SETTINGS is a JSON object: sizes of the networks and the batch, `updates` to time, and `bf16`. Prints milliseconds per
+update. Batches are prepared beforehand: sampling them is not compared.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-DRAWS = 4  # batches taken in turn
+DRAWS = 4  # batches used in turn
 
 
 def mlp(inputs: int, width: int, layers: int, outputs: int, layer_norm: bool = False) -> nn.Sequential:
@@ -32,7 +32,7 @@ def mlp(inputs: int, width: int, layers: int, outputs: int, layer_norm: bool = F
 
 
 class Policy(nn.Module):
-    """EAR: a decoder of the state's embedding and the task's, both of unit length."""
+    """EAR's policy: a decoder of the state embedding and the task embedding, both of unit length."""
 
     def __init__(self, s: dict[str, Any]):
         super().__init__()
@@ -55,7 +55,7 @@ class Policy(nn.Module):
 
 
 class Update:
-    """One step of critics, policy and temperature."""
+    """One gradient step of critics, policy and temperature."""
 
     def __init__(self, s: dict[str, Any]):
         inputs = s["obs"] + s["act"] + s["tasks"]

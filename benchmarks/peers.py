@@ -1,7 +1,7 @@
-"""Others' code beside ours: the update in plain PyTorch, and SBX's SAC on a Gymnasium task, in turn with ours.
+"""Other libraries compared with ours: the update in plain PyTorch, and SBX's SAC on a Gymnasium task.
 
-They live in an environment of their own, made from `peers.txt` at the first call. Neither can be imported here: each
-contender's figure comes from a process that runs nothing else.
+They run in a virtual environment of their own, created from `peers.txt` at the first call. They are not imported here:
+each measurement of a peer comes from a process that runs nothing else. Ours and theirs are timed in turn.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ FAMILY = "halfcheetah-vel"
 
 
 def interpreter() -> str:
-    """Of the peers' environment, which is made where it is missing."""
+    """Returns the Python of the peers' virtual environment, which is created if missing."""
     python = PLACE / "bin" / "python"
     if not (PLACE / "made").exists():
         print(f"installing peers into {PLACE}", file=sys.stderr)
@@ -44,7 +44,7 @@ def interpreter() -> str:
 
 
 def ask(script: str, settings: dict[str, Any]) -> dict[str, Any]:
-    """What a peer prints of itself."""
+    """Runs a peer's script and returns the JSON that it prints."""
     done = subprocess.run(
         [interpreter(), HERE / script, json.dumps(settings)], capture_output=True, text=True, check=True
     )
@@ -62,14 +62,14 @@ def torch_settings(config: Config, program: training.Program, updates: int) -> d
 
 
 def measure_update(options: argparse.Namespace, preset: str, updates: int, repeats: int) -> None:
-    """An update of ours and of PyTorch's, each with float32 and with bf16 matmuls."""
+    """Times our update and PyTorch's, each with float32 and with bf16 matmuls."""
     config = preset_config(FAMILY, preset)
     program = training.make_program(config)
     state = jax.jit(jax.vmap(partial(filled, program)))(training.seed_keys(config))
-    rounding = training.make_program(with_matmul(config, "bfloat16"))
-    ours = {"ours_ms": update_run(program, state, updates), "ours_bf16_ms": update_run(rounding, state, updates)}
+    rounded = training.make_program(with_matmul(config, "bfloat16"))
+    ours = {"ours_ms": update_run(program, state, updates), "ours_bf16_ms": update_run(rounded, state, updates)}
     for update in ours.values():
-        update()  # compiled here
+        update()  # compiles
     settings = torch_settings(config, program, updates)
     figures: dict[str, list[float]] = {name: [] for name in (*ours, "torch_ms", "torch_bf16_ms")}
     version = ""
@@ -90,7 +90,7 @@ def measure_update(options: argparse.Namespace, preset: str, updates: int, repea
 
 
 def sac_config(envs: int, updates: int) -> Config:
-    """One task, the networks SBX has by default: two layers of 256 without LayerNorm, batches of 256."""
+    """Returns a configuration with one task and SBX's defaults: two layers of 256 without LayerNorm, batches of 256."""
     base = preset_config(FAMILY, "fast")
     return dataclasses.replace(
         base,
@@ -102,7 +102,7 @@ def sac_config(envs: int, updates: int) -> Config:
 
 
 def measure_sac(options: argparse.Namespace, steps: int, repeats: int) -> None:
-    """Environment steps a second with one update each, collection and updates together."""
+    """Times SAC with one update for each env step, collection and updates together."""
     envs = 8
     config = sac_config(envs, steps)
     program = training.make_program(config)
@@ -110,19 +110,25 @@ def measure_sac(options: argparse.Namespace, steps: int, repeats: int) -> None:
     epoch = epoch_run(program, state)
     epoch()
     network = config.network
-    asked = {"envs": envs, "width": network.width, "layers": network.critic_layers, "batch_size": 256, "steps": steps}
+    settings = {
+        "envs": envs,
+        "width": network.width,
+        "layers": network.critic_layers,
+        "batch_size": 256,
+        "steps": steps,
+    }
     ours, theirs, version = [], [], ""
     for _ in range(repeats):
         began = time.perf_counter()
         epoch()
         ours.append(steps / (time.perf_counter() - began))
-        answer = ask("peer_sbx.py", asked)
+        answer = ask("peer_sbx.py", settings)
         theirs.append(answer["steps_per_second"])
         version = answer["version"]
     row = {
         "what": "sac",
         "peer": f"sbx {version}",
-        **asked,
+        **settings,
         "repeats": repeats,
         **common.spread("ours_steps_per_second", ours),
         **common.spread("sbx_steps_per_second", theirs),

@@ -1,8 +1,8 @@
-"""Environment steps a second by engine, family and batch, beside raw `mujoco.batch`, Gymnasium and Brax.
+"""Env steps per second by engine, family and batch, compared with raw `mujoco.batch`, Gymnasium and Brax.
 
-`ratio_to_raw` is the median ratio of paired runs from the same states with the same actions: raw `mujoco.batch` steps
-the same model as often on as many simulations and does nothing else. Gymnasium's environments and Brax's `spring` have
-states of their own, and reset what has fallen.
+`ratio_to_raw` is the median ratio of paired runs from the same states with the same actions. Raw `mujoco.batch` steps
+the same model equally often on equally many simulations and does nothing else. Gymnasium's environments and Brax's
+`spring` start from their own states and reset robots that have fallen.
 """
 
 from __future__ import annotations
@@ -29,14 +29,20 @@ from ear_jax.errors import RunError
 from ear_jax.physics import Physics
 from ear_jax.process import runtime
 
-SHAPES = {10: (10, 1), 80: (10, 8), 512: (8, 64), 640: (10, 64), 8192: (8, 1024)}  # of the nested vmap, [tasks, envs]
-BATCHES = {  # that an engine is measured at, by JAX's backend
+SHAPES = {
+    10: (10, 1),
+    80: (10, 8),
+    512: (8, 64),
+    640: (10, 64),
+    8192: (8, 1024),
+}  # batch → [tasks, envs] of the nested vmap
+BATCHES = {  # batches to measure, by JAX backend and engine
     "cpu": {"native": (10, 80, 640), "mjx": (512,)},
     "gpu": {"mjx": (640, 8192), "warp": (640, 8192)},
 }
-ROBOTS = [name for name in FAMILIES if name != "reach"]  # whose arm is led by a mocap body, not by its actions alone
-WARM_UP = 30  # random steps before the start: robots have fallen, and have their usual contacts
-OTHERS = {  # what Gymnasium and Brax call the robot of a family
+ROBOTS = [name for name in FAMILIES if name != "reach"]  # reach is left out: a mocap body moves its arm
+WARM_UP = 30  # random steps before the start, after which robots have fallen and have their usual contacts
+OTHERS = {  # Gymnasium's and Brax's names for the robot of a family
     "halfcheetah-vel": ("HalfCheetah-v5", "halfcheetah"),
     "ant-dir": ("Ant-v5", "ant"),
     "hopper-vel": ("Hopper-v5", "hopper"),
@@ -46,7 +52,7 @@ OTHERS = {  # what Gymnasium and Brax call the robot of a family
 
 @dataclass(frozen=True)
 class Case:
-    """States [batch, …] in which both sides start, and actions [steps, batch, nu] that both take; all float32."""
+    """Initial states [batch, …] and actions [steps, batch, nu] that both contenders share; all float32."""
 
     family: str
     qpos: np.ndarray
@@ -56,7 +62,7 @@ class Case:
 
 
 def make_case(family: Family, batch: int, steps: int) -> Case:
-    """Random starts, each taken some random steps further by C MuJoCo."""
+    """Returns random starts advanced by some random steps of C MuJoCo, with random actions."""
     rng = np.random.default_rng(0)
     start = jax.device_get(jax.vmap(family.initial)(jax.random.split(jax.random.key(0), batch)))
     simulations = _simulations(family.model, start.qpos, start.qvel, start.warmstart)
@@ -69,7 +75,7 @@ def make_case(family: Family, batch: int, steps: int) -> Case:
 
 
 def raw_run(family: Family, case: Case) -> Callable[[], None]:
-    """The case on `mujoco.batch` alone."""
+    """Returns a call that plays the case on `mujoco.batch` alone."""
     simulations = _simulations(family.model, case.qpos, case.qvel, case.warmstart)
     start, controls = simulations.state.copy(), case.actions.astype(np.float64)
 
@@ -84,7 +90,7 @@ def raw_run(family: Family, case: Case) -> Callable[[], None]:
 
 
 def engine_run(family: Family, case: Case) -> Callable[[], None]:
-    """The case on the family's engine, as training has it: inside jit, scan and two vmaps."""
+    """Returns a call that plays the case on the family's engine as in training: inside jit, scan and two vmaps."""
     tasks_envs = SHAPES[len(case.qpos)]
 
     def step(physics: Physics, action: jax.Array) -> tuple[Physics, None]:
@@ -101,7 +107,7 @@ def engine_run(family: Family, case: Case) -> Callable[[], None]:
 
 
 def measure(options: argparse.Namespace, engine: str, name: str, batch: int, steps: int, repeats: int) -> None:
-    """Two rows: raw, and an engine paired with it."""
+    """Writes two rows: raw, and an engine paired with it."""
     try:
         family = make_family(name, engine)
     except RunError as error:
@@ -117,7 +123,7 @@ def measure(options: argparse.Namespace, engine: str, name: str, batch: int, ste
             "steps": steps,
             "repeats": repeats,
             "beside": engine,
-            "positions": contender == engine and bool(family.bodies),  # of bodies, which raw is not asked for
+            "positions": contender == engine and bool(family.bodies),  # body positions, which raw does not compute
             **common.spread("env_steps_per_second", [batch * steps / value for value in timing.seconds]),
             **common.spread("ratio_to_raw", common.ratios(timings["raw"].seconds, timing.seconds)),
             **common.spread("cores_used", timing.cores),
@@ -126,11 +132,11 @@ def measure(options: argparse.Namespace, engine: str, name: str, batch: int, ste
 
 
 def measure_others(options: argparse.Namespace, kind: str, name: str, *sizes: int) -> None:
-    """Rows of another project's environments, each measured in a process of its own."""
+    """Writes rows of another project's environments, measured in a process of their own."""
     robot = OTHERS[name][kind == "spring"]
     words = [sys.executable, "-m", "benchmarks.physics_others", kind, robot, *map(str, sizes)]
     environment = {**os.environ, "PYTHONPATH": str(common.RESULTS.parents[1])}
-    with tempfile.TemporaryDirectory() as scratch:  # where MuJoCo leaves its complaint about Gymnasium's old models
+    with tempfile.TemporaryDirectory() as scratch:  # for MuJoCo's log about Gymnasium's old models
         done = subprocess.run(words, capture_output=True, text=True, cwd=scratch, env=environment)
     if done.returncode:
         reason = (done.stderr.strip().splitlines() or ["no reason given"])[-1]
@@ -142,16 +148,16 @@ def measure_others(options: argparse.Namespace, kind: str, name: str, *sizes: in
 
 def _simulations(model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray, warmstart: np.ndarray) -> Batch:
     model = copy.copy(model)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # as the native engine has it
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET  # as in the native engine
     simulations = Batch(model, len(qpos))
     simulations.qpos[:], simulations.qvel[:], simulations.qacc_warmstart[:] = qpos, qvel, warmstart
     return simulations
 
 
 def _check(qpos: np.ndarray | jax.Array) -> None:
-    """Waits for the result, and refuses one that says nothing: simulations that blew up cost less."""
+    """Waits for the result and checks that it is finite: simulations that diverged are cheaper to step."""
     if not np.isfinite(np.asarray(qpos)).all():
-        raise RuntimeError("a simulation is no longer finite")
+        raise RuntimeError("a simulation diverged: its positions are not finite")
 
 
 def main() -> None:

@@ -1,8 +1,9 @@
-"""Gymnasium's vector environments and Brax's `spring` pipeline, for `benchmarks.physics`, which starts it.
+"""Gymnasium's vector environments and Brax's `spring` pipeline; started by `benchmarks.physics`.
 
     python -m benchmarks.physics_others gymnasium|spring ROBOT BATCH STEPS REPEATS
 
-A process of its own: Gymnasium's workers are forked, which a process that runs JAX must not be. Prints a JSON list.
+It is a separate process because Gymnasium forks its workers, which is unsafe in a process that runs JAX. Prints a JSON
+list.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ from benchmarks import common
 
 
 def gymnasium_rows(robot: str, batch: int, steps: int, repeats: int) -> list[dict[str, Any]]:
-    """Synchronous and asynchronous vector environments, paired with raw `mujoco.batch` from the model's own pose."""
+    """Times synchronous and asynchronous vector environments, paired with raw `mujoco.batch` from the default pose."""
     import gymnasium
 
     try:
         import imageio  # noqa: F401
-    except ModuleNotFoundError:  # Gymnasium imports it with its robots, only to save pictures from its viewer
+    except ModuleNotFoundError:  # Gymnasium imports it only to save pictures from its viewer
         sys.modules["imageio"] = types.ModuleType("imageio")
     settings: dict[str, Any] = {"include_cfrc_ext_in_observation": False} if robot.startswith("Ant") else {}
     actions = np.random.default_rng(0).uniform(-1, 1, (steps, batch, 8))
@@ -52,10 +53,10 @@ def gymnasium_rows(robot: str, batch: int, steps: int, repeats: int) -> list[dic
 
 
 def spring_rows(robot: str, batch: int, steps: int, repeats: int) -> list[dict[str, Any]]:
-    """Brax's own pipeline: another, coarser physics of the same robot, without automatic resets."""
+    """Times Brax's own pipeline: a coarser physics of the same robot, without automatic resets."""
     import jax
 
-    from ear_jax import quiet, runtime  # noqa: F401  imports Brax without its line on stdout
+    from ear_jax.process import runtime, silent_imports  # noqa: F401  imports Brax without its line on stdout
 
     from brax.envs import get_environment  # isort: skip
 

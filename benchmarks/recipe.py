@@ -1,7 +1,7 @@
-"""The trials behind the `fast` preset in `docs/fast.md`, a picture and a table, from `results/recipe.jsonl` alone.
+"""Draws and tabulates the trials behind the `fast` preset for `docs/fast.md`, from `results/recipe.jsonl` alone.
 
-A row is one trial: what differed from the first, which trial it is held against, and its curve as [updates, env steps,
-seconds, mean return], of one seed or the mean over several.
+A row is one trial: what differed from the first, the trial it is held against, and its curve as [updates, env steps,
+seconds, mean return], of one seed or averaged over several.
 """
 
 from __future__ import annotations
@@ -25,20 +25,22 @@ from experiments.report.markdown import table
 DOCUMENT = RESULTS.parent.parent / "docs" / "fast.md"
 PLACE = "trials"
 PICTURE = DOCUMENT.parent / "images" / "recipe.png"
-COLUMNS = ("trial", "of", "held against", "updates", "return", "return of that")
-NAMED = 68_000  # updates from which on a trial's line has its name
+COLUMNS = ("trial", "family", "held against", "updates", "return", "return of the other")
+NAMED = 68_000  # updates; trials at least this long are labelled
 LINES = ("-", "--", ":", "-.")
 
 
 def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """Return against updates, the median of five evaluations, a line a trial; the shorter ones in grey."""
+    """Draws return against updates, the median of five evaluations, a line for each trial; shorter trials in grey."""
     shown = [row for row in rows if row["curve"][-1][0] >= NAMED]
     for row in rows:
         updates, _, _, returns = np.array(row["curve"]).T
         returns = _median_of_five(returns)
         if row in shown:
             index = shown.index(row)
-            line = index + index // math.lcm(len(COLOURS), len(LINES))  # or the pairs would come round again
+            line = index + index // math.lcm(
+                len(COLOURS), len(LINES)
+            )  # shifts the pairing of colour and line style, so that no pair repeats
             style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[line % len(LINES)], "zorder": 3}
             axes.plot(updates / 1000, returns, label=row["trial"], **style)
         else:
@@ -51,19 +53,19 @@ def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
 
 
 def _median_of_five(values: np.ndarray) -> np.ndarray:
-    """Of each value and its two neighbours on either side; at the ends of those there are."""
+    """Returns the median of each value and its two neighbours on either side; fewer at the ends."""
     return np.array([np.median(values[max(0, index - 2) : index + 3]) for index in range(len(values))])
 
 
 def _upper(rows: list[dict[str, Any]]) -> tuple[float, float]:
-    """From the median of the first returns up: below, all trials look alike."""
+    """Returns the limits of the y axis. They leave out low returns, where all trials look alike."""
     first = float(np.median([row["curve"][0][3] for row in rows]))
     best = max(point[3] for row in rows for point in row["curve"])
     return first + 0.35 * (best - first), best + 0.03 * (best - first)
 
 
 def trials(rows: list[dict[str, Any]]) -> str:
-    """A line a trial: its return where it ended, or where the trial it is held against did, and that one's."""
+    """Returns the table of trials: the returns of a trial and of the one beside it, at the end of the shorter."""
     curves = {(row["family"], row["trial"]): {point[0]: point[3] for point in row["curve"]} for row in rows}
     lines = []
     for row in rows:

@@ -1,4 +1,4 @@
-"""Time of one checkpoint of a `fast` run whose replay is full, beside the training between two checkpoints."""
+"""Wall time of one checkpoint of a `fast` run with a full replay, compared with the training between checkpoints."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Seconds from the command to the first metrics row, with a cold and a warm compilation cache, and of imports.
+"""Wall time from the command to the first row of metrics, with a cold and a warm compilation cache, and of imports.
 
-Every figure is of a fresh process. Phases end where the command says so on stderr, as `ear train` prints each one when
-it is over; the last ends with the first row on the disk, after one epoch and one evaluation.
+Every measurement uses a fresh process. A phase ends when `ear train` prints it on stderr; the last phase ends with the
+first row on the disk, after one epoch and one evaluation.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from typing import Any
 from benchmarks import common
 
 IMPORTS = ("ear_jax", "jax", "ear_jax.runs.loop", "ear_jax.cli.train")
-# What a line of `ear train` begins with, and the phase that it ends.
+# Beginning of a line of `ear train` → the phase that ends with it.
 PHASES = {"halfcheetah-vel ·": "setup", "compiling:": "compile", "collecting": "pretrain", "epoch ": "first_block"}
 QUICK = ("--collect.pretrain-epochs", "1", "--sac.updates", "5", "--log.episodes", "1")
 
 
 def import_seconds(module: str) -> float:
-    """An import in a fresh interpreter, whose own start is not counted."""
+    """Returns the seconds of an import in a fresh interpreter, without the interpreter's start."""
     code = f"import time; began = time.perf_counter(); import {module}; print(time.perf_counter() - began)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return float(done.stdout.splitlines()[-1])
 
 
 def first_row_seconds(cache: Path, settings: tuple[str, ...]) -> dict[str, float]:
-    """One training of one epoch: seconds by phase, to the first epoch, to the first row (`total`), and to the end."""
+    """Trains for one epoch; returns seconds by phase, before training, to the first row (`total`) and to the exit."""
     with tempfile.TemporaryDirectory() as scratch:
         run = Path(scratch) / "run"
         words = ("train", "halfcheetah-vel", "--epochs", "1", "--log.epochs", "1", "--out", str(run), *settings)
@@ -42,7 +42,7 @@ def first_row_seconds(cache: Path, settings: tuple[str, ...]) -> dict[str, float
         process = subprocess.Popen(
             [sys.executable, "-m", "ear_jax.cli.main", *words], env=environment, stderr=subprocess.PIPE, text=True
         )
-        lines: list[tuple[float, str]] = []  # seconds since the command, and what it said then
+        lines: list[tuple[float, str]] = []  # seconds since the command, and the line
         reader = threading.Thread(target=lambda: lines.extend((time.perf_counter() - began, x) for x in process.stderr))
         reader.start()
         total = _wait_for_row(process, run / "metrics.jsonl", began)
@@ -56,18 +56,18 @@ def first_row_seconds(cache: Path, settings: tuple[str, ...]) -> dict[str, float
 
 
 def _wait_for_row(process: subprocess.Popen, path: Path, began: float) -> float | None:
-    """When the row was on the disk, to 5 ms; None if the process ended without one."""
+    """Returns the seconds until the row was on the disk, to 5 ms; None if the process ended without one."""
     while True:
-        over = process.poll() is not None
+        ended = process.poll() is not None
         if path.exists() and path.stat().st_size:
             return time.perf_counter() - began
-        if over:
+        if ended:
             return None
         time.sleep(0.005)
 
 
 def _phases(lines: list[tuple[float, str]], total: float) -> dict[str, float]:
-    """How long each phase took, from the moments at which phases ended."""
+    """Returns the duration of each phase, from the times at which phases ended."""
     phases, before = {}, 0.0
     for start, phase in PHASES.items():
         ends = [total] if phase == "first_block" else [when for when, line in lines if line.startswith(start)]
@@ -81,23 +81,23 @@ def measure_imports(options: argparse.Namespace, repeats: int) -> None:
     for _ in range(repeats):
         for module in IMPORTS:
             seconds[module].append(import_seconds(module))
-    for module, took in seconds.items():
-        row = {"what": "import", "module": module, "repeats": repeats, **common.spread("seconds", took)}
+    for module, elapsed in seconds.items():
+        row = {"what": "import", "module": module, "repeats": repeats, **common.spread("seconds", elapsed)}
         common.write_row(options, "startup", row)
 
 
 def measure_training(options: argparse.Namespace, repeats: int) -> None:
-    """Cold and warm in turn: each cold run fills the cache that the next one finds."""
+    """Times cold and warm runs in turn: each cold run fills the cache for the warm run after it."""
     settings = ("--preset", "fast", *(QUICK if options.quick else ()))
     runs: dict[str, list[dict[str, float]]] = {"cold": [], "warm": []}
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as cache:
             for kind in runs:
                 runs[kind].append(first_row_seconds(Path(cache), settings))
-    for kind, took in runs.items():
+    for kind, timings in runs.items():
         row: dict[str, Any] = {"what": "first_row", "preset": "fast", "cache": kind, "repeats": repeats}
-        for name in took[0]:
-            row.update(common.spread(f"{name}_seconds", [run[name] for run in took]))
+        for name in timings[0]:
+            row.update(common.spread(f"{name}_seconds", [run[name] for run in timings]))
         common.write_row(options, "startup", row)
 
 

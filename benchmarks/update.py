@@ -1,7 +1,7 @@
-"""Time of one gradient update, without collection, beside the time of its bare matmuls.
+"""Wall time of one gradient update, without collection, compared with its bare matmuls.
 
-The matmuls are read off the traced update, so they have its shapes whatever the networks become. `ratio_to_matmuls` is
-the median ratio of paired runs.
+The matmuls are read from the traced update, so that their shapes follow the networks. `ratio_to_matmuls` is the median
+ratio of paired runs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from ear_jax.runs.training import Program
 
 @dataclass(frozen=True)
 class Matmul:
-    """One dot product of an update, as JAX's `dot_general` takes it."""
+    """One dot product of an update, in the terms of JAX's `dot_general`."""
 
     left: tuple[int, ...]
     right: tuple[int, ...]
@@ -45,7 +45,7 @@ class Matmul:
 
 
 def find_matmuls(jaxpr: Jaxpr) -> Iterator[Matmul]:
-    """All dot products of a traced program that has no loops."""
+    """Yields all dot products of a traced program without loops."""
     for equation in jaxpr.eqns:
         if equation.primitive.name == "dot_general":
             left, right = (operand.aval.shape for operand in equation.invars)
@@ -55,7 +55,7 @@ def find_matmuls(jaxpr: Jaxpr) -> Iterator[Matmul]:
 
 
 def filled(program: Program, key: jax.Array) -> training.TrainState:
-    """A fresh run whose replay is full of noise, as an update's time does not depend on what is learnt from."""
+    """Returns a fresh run with a replay full of noise: the time of an update does not depend on the data."""
     state = training.init(program, key)
 
     def noise(ring: jax.Array) -> jax.Array:
@@ -68,7 +68,7 @@ def filled(program: Program, key: jax.Array) -> training.TrainState:
 
 
 def update_run(program: Program, state: training.TrainState, updates: int) -> Any:
-    """Updates of all seeds, as an epoch has them after its roll-out; leaves of `state` are [seeds, …]."""
+    """Returns a call that makes the updates of an epoch for all seeds; leaves of `state` are [seeds, …]."""
 
     def one_seed(learner: SacState, buffer: Replay, key: jax.Array) -> SacState:
         draws = program.learner.draw(key, updates)
@@ -80,11 +80,11 @@ def update_run(program: Program, state: training.TrainState, updates: int) -> An
 
 
 def matmul_run(matmuls: list[Matmul], updates: int) -> Any:
-    """The matmuls alone, as often as in so many updates.
+    """Returns a call that makes the matmuls of `updates` updates and nothing else.
 
-    Each round is a call of one compiled program. In a loop XLA would do what is the same in every round only once, or,
-    where rounds are made to differ, copy operands, which took up to half as long as the matmuls. The products of a
-    round take the memory of those before, as an update's arrays stay where they are too.
+    Each round calls one compiled program. In a loop, XLA would hoist operations that do not change between rounds; if
+    rounds are made to differ, it copies operands, which took up to half as long as the matmuls. The products of a round
+    reuse the memory of the previous ones, as an update's arrays are updated in place too.
     """
     keys = jax.random.split(jax.random.key(0), 2 * len(matmuls)).reshape(len(matmuls), 2)
     operands = [
@@ -93,7 +93,7 @@ def matmul_run(matmuls: list[Matmul], updates: int) -> Any:
     ]
 
     def multiply(operands: Any, before: Any) -> list[jax.Array]:
-        del before  # its memory is the products'
+        del before  # donated: its memory is reused for the products
         sides = zip(matmuls, operands, strict=True)
         return [jax.lax.dot_general(left, right, matmul.dimensions) for matmul, (left, right) in sides]
 

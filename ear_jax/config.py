@@ -1,4 +1,4 @@
-"""Settings by role, frozen and complete before JAX runs."""
+"""The settings of a training run, frozen and complete before JAX runs."""
 
 from __future__ import annotations
 
@@ -10,148 +10,181 @@ import tyro
 
 from ear_jax.errors import UsageError, unknown
 
-MAX_SEED = 2**31  # int32, as JAX counts
+MAX_SEED = 2**31  # JAX takes seeds as int32
 
 
 @dataclass(frozen=True)
 class NetworkConfig:
+    """Sizes, normalisation, initial weights and precision of the networks."""
+
     width: int = 400
-    """Units in every hidden layer but the task encoder's."""
+    """Units in each hidden layer, except the task encoder's."""
     encoder_layers: int = 2
     """Hidden layers of the state encoder φ."""
     decoder_layers: int = 4
     """Hidden layers of the action decoder ψ."""
     critic_layers: int = 4
     """Hidden layers of each critic."""
+    critic_blocks: int = 0
+    """Residual blocks of two layers with LayerNorm (BRO); they replace each critic's hidden layers but the first."""
+    critic_bins: int = 0
+    """Bins of return whose probabilities each critic predicts (C51), within ± sac.return_scale; 0 predicts Q itself."""
+    critic_task: Literal["onehot", "lte", "both"] = "onehot"
+    """Critics' input about the task; an LTE given to critics is also taught by them (BRC)."""
     task_layers: int = 0
-    """Hidden layers of the task encoder; the paper's is a single linear layer."""
+    """Hidden layers of the task encoder; the paper has none, only a linear layer."""
     task_width: int = 400
-    """Units in each of those."""
+    """Units in each hidden layer of the task encoder."""
     lse_size: int = 16
-    """Size of the latent state embedding."""
+    """Size of the state embedding (LSE)."""
     lte_size: int = 3
-    """Size of the latent task embedding."""
+    """Size of the task embedding (LTE)."""
     lte_start: Literal["spread", "gathered"] = "spread"
-    """Where LTEs begin: anywhere on their sphere, or all within a few degrees."""
+    """Initial LTEs: anywhere on their sphere, or within a few degrees of each other."""
     normalise_lse: bool = True
-    """Put the LSE on its unit sphere."""
+    """Project the LSE onto the unit sphere."""
     normalise_lte: bool = True
-    """Put the LTE on its unit sphere."""
+    """Project the LTE onto the unit sphere."""
     critic_layer_norm: bool = False
-    """LayerNorm in the critics."""
+    """Apply LayerNorm in the critics' hidden layers."""
     standardise_obs: bool = False
-    """Show the networks observations in standard deviations from the mean of replay."""
+    """Standardise observations by the mean and standard deviation of those in replay."""
     history: int = 1
-    """Latest observations shown to the agent at once; a recurrent one reads them in their order."""
+    """Number of latest observations the agent sees at once; a recurrent agent reads them in order."""
     initialiser: Literal["authors", "fan_in"] = "authors"
-    """Weights as in the authors' code, or uniform by fan-in."""
+    """Initial weights: as in the authors' code, or uniform by fan-in."""
     matmul: Literal["float32", "bfloat16"] = "float32"
-    """What hidden layers multiply while learning; bfloat16 is twice as fast on a CPU with AMX."""
+    """Precision of the hidden layers' matmuls during updates; bfloat16 is twice as fast on a CPU with AMX."""
 
 
 @dataclass(frozen=True)
 class SacConfig:
+    """Updates by SAC."""
+
     lr: float = 3e-4
-    """Adam's step size, for the policy, each critic and the temperature."""
+    """Adam's step size for the policy, each critic and the temperature."""
     lr_decay: int = 0
-    """Updates in which the step size falls evenly to a tenth, where it stays; 0: it does not fall."""
+    """Updates over which the step size falls linearly to a tenth; 0 keeps it constant."""
     discount: float = 0.99
+    """Discount factor γ."""
     pessimism: float = 1.0
-    """Which value of the two critics counts: at 1 the lesser, as in SAC, at 0 their mean."""
+    """Aggregation of the two critics: 1 takes the minimum (SAC), 0 the mean, linear between."""
     tau: float = 0.005
-    """How far the target critics follow the critics at each update."""
+    """Share of the critics mixed into the target critics at each update."""
     batch_size: int = 1280
-    """Transitions in an update, the same number for every task."""
+    """Transitions per update, split evenly over the tasks."""
+    policy_share: int = 1
+    """Policy and temperature learn from every n-th transition of a batch, critics from all."""
     updates: int = 200
-    """Gradient steps in an epoch."""
+    """Updates per epoch."""
     lte_noise: float = 0.02
-    """σ of the noise on the LTE in the actor's objectives; 0 is the ablation."""
+    """σ of the noise added to the LTE whenever an update samples actions; 0 is the paper's ablation."""
     reward_scale: float = 1.0
-    """What rewards are multiplied by in the critics' targets."""
+    """Factor on rewards in the critics' targets."""
+    return_scale: float = 0.0
+    """Scale each task's rewards so that the largest return seen is this, and clip targets there (BRC); 0 does not."""
+    weight_decay: float = 0.0
+    """Decay of weights, relative to the step size (AdamW); biases and normalisation are left out."""
     initial_temperature: float = 1.0
-    """The entropy's weight before it is learnt."""
+    """Initial weight of the entropy, which is then learnt."""
     max_grad_norm: float = 10.0
-    """Global norm to which each network's gradient is clipped."""
+    """Global norm at which each network's gradient is clipped."""
 
 
 @dataclass(frozen=True)
 class MamlConfig:
+    """Updates by MAML."""
+
     inner_lr: float = 0.1
-    """Step size of the gradient step that tunes the policy to a task."""
+    """Size of the gradient step that adapts the policy to a task."""
     max_divergence: float = 0.01
-    """How far an update may move the tuned policies, their mean KL divergence."""
+    """Limit on the mean KL divergence by which an update changes the adapted policies."""
     discount: float = 0.99
+    """Discount factor γ of MAML's returns."""
 
 
 @dataclass(frozen=True)
 class CollectConfig:
+    """Collection of experience."""
+
     envs: int = 1
     """Environments per task."""
     steps: int = 200
-    """Steps of each environment in an epoch; of MAML, half before and half after its step."""
+    """Steps of each environment per epoch; MAML takes half before its gradient step and half after."""
     pretrain_epochs: int = 20
-    """Epochs of collection with the untrained policy, without updates."""
+    """Epochs of collection with the untrained policy before the first update."""
+    hold_noise: int = 1
+    """Longest time, in steps, that an action's noise is held; k steps with probability ∝ k⁻² (FlashSAC)."""
     stagger: bool = False
-    """Start the environments anywhere within their first episode."""
+    """Start the episode clocks at random, so that environments do not all reset at once."""
 
 
 @dataclass(frozen=True)
 class ReplayConfig:
+    """Storage of transitions and the transitions drawn from it."""
+
     capacity: int = 1_000_000
-    """Transitions held, all tasks together; each task's ring has an equal part."""
+    """Transitions held for all tasks together, split evenly over the tasks."""
     share_experience: bool = False
-    """Train every task on all tasks' transitions, scored for it."""
+    """Train every task on the transitions of all tasks, with its own reward."""
     own_share: float = 0.0
-    """With shared experience: the part of a batch that still comes from the task's own transitions."""
+    """With shared experience, the share of a batch drawn from the task's own transitions only."""
     symmetry: bool = False
-    """Turn and mirror transitions at random, where the robot has symmetries (Ant-Dir)."""
+    """Rotate and mirror transitions at random, for robots with symmetries (Ant-Dir)."""
 
 
 @dataclass(frozen=True)
 class EnvConfig:
+    """Options of single families."""
+
     lateral_weight: float | None = None
-    """Ant-Dir: weight of the lateral speed's penalty (the authors' code: 0, the paper's text: 1)."""
+    """Ant-Dir: weight of the penalty on lateral speed (the authors' code: 0, the paper's text: 1)."""
     jump_height: Literal["hind_foot", "torso"] | None = None
-    """HalfCheetah-Run-Jump: whose height a jump is (the paper: the hind foot, the authors' code: the torso)."""
+    """HalfCheetah-Run-Jump: body whose height is rewarded (the paper: hind foot, the authors' code: torso)."""
 
 
 @dataclass(frozen=True)
 class LogConfig:
+    """Evaluation and metrics."""
+
     epochs: int = 10
-    """Epochs in a block: one compiled call, then one evaluation and one row a seed."""
+    """Epochs per block; each block ends with an evaluation and a row of metrics per seed."""
     episodes: int = 3
     """Evaluation episodes per task."""
 
 
 @dataclass(frozen=True)
 class CheckpointConfig:
+    """Checkpoints."""
+
     blocks: int = 5
     """Blocks between checkpoints."""
     replay: bool = True
-    """Save the replay too; without it checkpoints are small, and a run that continues from one has to fill it anew."""
+    """Save the replay; without it checkpoints are small, but a continued run has to refill it."""
 
 
 @dataclass(frozen=True)
 class Config:
-    """A training run."""
+    """All settings of a training run."""
 
     family: tyro.conf.Positional[str]
+    """Task family: a name from `ear families`, or path/to/file.py:ClassName."""
     preset: str = "fast"
-    """paper, fast or smoke, and what is other: +no-noise, +no-norm, +task-hidden, +wide, +gathered, or several."""
+    """paper, fast or smoke, optionally with variants: +no-noise, +no-norm, +task-hidden, +wide, +gathered."""
     agent: str = "ear"
-    """ear, ear-rnn (recurrent), onehot, onehot-blind (the one-hot zeroed), multihead, pearl or maml."""
+    """Name of the method: ear is the paper's, and an unknown name lists all methods."""
     engine: str = "auto"
-    """Physics engine: auto, native (CPU), mjx, or warp (an extra; NVIDIA's kernels)."""
+    """Physics engine: auto, native (CPU), mjx, or warp (NVIDIA GPUs; pip install 'ear-jax[warp]')."""
     seed: int = 0
-    """The first seed."""
+    """First seed."""
     seeds: int = 1
-    """Seeds trained side by side: seed, seed + 1, …"""
+    """Number of seeds trained together: seed, seed + 1, …"""
     epochs: int = 4000
-    """Stop after this many epochs in all."""
+    """Total epochs, including those before a continuation."""
     minutes: float | None = None
-    """Stop at the first block boundary past this much wall time in all."""
+    """Total minutes of wall time, including those before a continuation; the run stops after that block."""
     tasks: tuple[str, ...] = ()
-    """Training tasks, named as a person would (2 or vel-2); none: the paper's."""
+    """Training tasks by name, such as 2 or vel-2; the paper's by default."""
     env: EnvConfig = field(default_factory=EnvConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     sac: SacConfig = field(default_factory=SacConfig)
@@ -163,46 +196,46 @@ class Config:
 
 
 def run_name(config: Config) -> str:
-    """What a run's directory is called unless its user names it; of path/to/file.py:ClassName, the class."""
+    """Returns the default name of a run's directory; a family path/to/file.py:ClassName is shortened to its class."""
     family = config.family.rpartition(":")[2].lower()
-    several = f"s{config.seed}-{config.seed + config.seeds - 1}"
-    return f"{family}-{config.agent}-{config.preset}-seed{config.seed if config.seeds == 1 else several}"
+    seeds = str(config.seed) if config.seeds == 1 else f"s{config.seed}-{config.seed + config.seeds - 1}"
+    return f"{family}-{config.agent}-{config.preset}-seed{seeds}"
 
 
 def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> Any:
-    """Builds a configuration from nested dictionaries such as JSON holds; what is absent keeps its default.
+    """Builds a configuration from nested dictionaries, as in `config.json`; absent settings keep their defaults.
 
     Raises:
-      UsageError: a setting that does not exist.
+      UsageError: a setting does not exist.
     """
     types = get_type_hints(kind)
-    given: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     for name, value in values.items():
         if name not in types:
             raise unknown("setting", where + name, [where + known for known in types])
         if dataclasses.is_dataclass(types[name]):
             value = from_dict(value, types[name], f"{where}{name}.")
-        given[name] = tuple(value) if isinstance(value, list) else value
-    return kind(**given)
+        settings[name] = tuple(value) if isinstance(value, list) else value
+    return kind(**settings)
 
 
 def flat(config: Config) -> dict[str, Any]:
-    """Every setting by its name, as in sac.lr."""
+    """Returns every setting by its dotted name, such as sac.lr."""
     return flat_tree(dataclasses.asdict(config))
 
 
 def flat_tree(tree: dict[str, Any], where: str = "") -> dict[str, Any]:
-    """Nested dictionaries as one, by names as in sac.lr."""
-    found: dict[str, Any] = {}
+    """Flattens nested dictionaries into one with dotted names, such as sac.lr."""
+    flattened: dict[str, Any] = {}
     for name, value in tree.items():
-        found |= flat_tree(value, f"{where}{name}.") if isinstance(value, dict) else {where + name: value}
-    return found
+        flattened |= flat_tree(value, f"{where}{name}.") if isinstance(value, dict) else {where + name: value}
+    return flattened
 
 
 def check(config: Config) -> None:
-    """Raises UsageError for the first value out of its range, with what is allowed.
+    """Raises UsageError for the first value out of its range, naming the range.
 
-    Methods and learners check what is theirs.
+    Methods and learners check the settings that only they read.
     """
     for name, minimum in _MINIMA.items():
         value = _setting(config, name)
@@ -214,7 +247,7 @@ def check(config: Config) -> None:
             raise UsageError(f"{flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
     if config.seed + config.seeds > MAX_SEED:
         raise UsageError(f"--seed {config.seed} is too large; the last seed must be below {MAX_SEED}")
-    for name in ("sac.lte_noise", "sac.pessimism", "replay.own_share"):
+    for name in ("sac.lte_noise", "sac.pessimism", "sac.weight_decay", "replay.own_share"):
         if not 0 <= _setting(config, name) <= 1:
             raise UsageError(f"{flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
 
@@ -226,11 +259,16 @@ _MINIMA: dict[str, int] = {
     "minutes": 0,
     **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
+    "network.critic_blocks": 0,
+    "network.critic_bins": 0,
     "sac.lr_decay": 0,
     "sac.batch_size": 1,
+    "sac.policy_share": 1,
+    "sac.return_scale": 0,
     "sac.updates": 1,
     "collect.envs": 1,
     "collect.steps": 1,
+    "collect.hold_noise": 1,
     "collect.pretrain_epochs": 1,
     "replay.capacity": 1,
     "log.epochs": 1,
@@ -251,7 +289,7 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 
 def flag(name: str) -> str:
-    """A setting as it is written on the command line."""
+    """Returns a setting's flag on the command line."""
     return "--" + name.replace("_", "-")
 
 

@@ -1,4 +1,4 @@
-"""The two ways a command fails for a reason its user can mend, and the nearest real name to a mistyped one."""
+"""Errors that a command reports in one line, and suggestions for mistyped names."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Iterable
 
 
 class UsageError(Exception):
-    """What was asked for makes no sense; one line says what would. Exit code 2."""
+    """The request is invalid; one line says what is allowed. Exit code 2."""
 
 
 class RunError(Exception):
-    """What was asked for makes sense and cannot be done here; one line says why. Exit code 1."""
+    """The request is valid but cannot be carried out here; one line says why. Exit code 1."""
 
 
 def unknown(kind: str, word: str, known: Iterable[str]) -> UsageError:
-    """The error for a name that does not exist: the nearest that does, and all of them."""
+    """Returns the error for an unknown name; it suggests the nearest known name and lists all of them."""
     known = sorted(known)
-    near = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.4)
-    guess = f"; did you mean {near[0]!r}?" if near else ""
-    return UsageError(f"unknown {kind} {word!r}{guess} (there are: {', '.join(known) or 'none'})")
+    nearest = difflib.get_close_matches(word.lower(), known, n=1, cutoff=0.4)
+    hint = f"; did you mean {nearest[0]!r}?" if nearest else ""
+    return UsageError(f"unknown {kind} {word!r}{hint} (there are: {', '.join(known) or 'none'})")

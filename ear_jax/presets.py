@@ -1,4 +1,4 @@
-"""The presets: what each changes in the defaults of `config.py`. Families and methods add changes of their own."""
+"""Presets: changes to the defaults of `config.py`, to which families and methods add their own."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FAST: dict[str, Any] = {
     },
     "sac": {
         "lr": 1e-3,
-        "lr_decay": 152_000,  # all of its updates
+        "lr_decay": 152_000,  # all updates of the run
         "discount": 0.98,
         "batch_size": 480,
         "updates": 400,
@@ -46,9 +46,9 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
 }
 
-# What a preset's name may go on with after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), the
-# hidden layer that the authors' code has in the task encoder, networks that an hour of one core is too short for, and
-# embeddings that unfold from one place.
+# Variants follow a preset's name after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), the
+# hidden layer of the task encoder in the authors' code, networks that need more than an hour of one core, and LTEs that
+# start close together.
 VARIANTS: dict[str, dict[str, Any]] = {
     "no-noise": {"sac": {"lte_noise": 0.0}},
     "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
@@ -59,24 +59,24 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 
 def check_effect(config: Config) -> None:
-    """Refuses a setting that differs from the preset's and that the agent does not read; raises UsageError."""
+    """Raises UsageError for a setting that was changed from the preset's although the agent does not read it."""
     method = find_method(config.agent)
-    preset, mine = flat(preset_config(config.family, config.preset, config.agent)), flat(config)
-    for name, value in mine.items():
+    preset = flat(preset_config(config.family, config.preset, config.agent))
+    for name, value in flat(config).items():
         if value != preset[name] and not method.reads(name):
             raise UsageError(f"{flag(name)} {value} would change nothing: agent {config.agent!r} has no use for it")
 
 
 def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
-    """The configuration a preset stands for.
+    """Returns the configuration of a preset.
 
     Args:
       family: a family's name.
       preset: `paper`, `fast` or `smoke`, alone or with variants, as in `fast+no-noise+no-norm`.
-      agent: an agent's name.
+      agent: a method's name.
 
     Raises:
-      UsageError: no such preset, variant or agent, or a variant that changes what the agent does not read.
+      UsageError: the preset, a variant or the agent is unknown, or a variant changes a setting the agent does not read.
     """
     base, *variants = preset.split("+")
     if base not in PRESETS:
@@ -86,7 +86,7 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
     changes = _merge(changes, method.presets.get(base, {}))
     for variant in variants:
         if variant not in VARIANTS:
-            raise unknown("variant of a preset", variant, VARIANTS)
+            raise unknown("preset variant", variant, VARIANTS)
         for name in flat_tree(VARIANTS[variant]):
             if not method.reads(name):
                 raise UsageError(f"agent {agent!r} has no use for {flag(name)}, which --preset {preset} sets")
@@ -95,7 +95,7 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
 
 
 def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested dictionaries, the second over the first."""
+    """Merges nested dictionaries; the second wins."""
     merged = dict(base)
     for name, value in changes.items():
         merged[name] = _merge(base.get(name, {}), value) if isinstance(value, dict) else value

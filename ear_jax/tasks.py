@@ -1,4 +1,4 @@
-"""Tasks: what tells one from another is a pytree of numbers, and many of them are that pytree stacked."""
+"""Tasks of a family: names, targets and the numbers their rewards read, stacked for many tasks."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def task_count(params: TaskParams) -> int:
 
 @dataclass(frozen=True)
 class Task:
-    """One task of a family: its name, the number a person commands, and the numbers its reward reads."""
+    """One task of a family: its name, its commanded value and the numbers its reward reads."""
 
     name: str
-    target: float | None  # None where nothing is commanded, only more is better
+    target: float | None  # in the family's unit; None if the task commands no value, as for a jump
     params: dict[str, float]
 
 
 @dataclass(frozen=True)
 class TaskSet:
-    """Tasks in the order of their one-hot codes."""
+    """Tasks in the order of their one-hots."""
 
     tasks: tuple[Task, ...]
 
@@ -50,37 +50,38 @@ class TaskSet:
 
     @property
     def params(self) -> TaskParams:
-        """The reward's numbers, each leaf [tasks]; nothing for no tasks."""
+        """The numbers the reward reads, each leaf [tasks]; empty without tasks."""
         if not self.tasks:
             return {}
         return jax.tree.map(lambda *leaves: jnp.asarray(leaves, jnp.float32), *(task.params for task in self.tasks))
 
     @property
     def document(self) -> list[dict[str, Any]]:
-        """The tasks as JSON holds them."""
+        """The tasks as a JSON document."""
         return [dataclasses.asdict(task) for task in self.tasks]
 
     @property
     def fingerprint(self) -> str:
-        """SHA-256 of names, targets and numbers, in order: where two agree, the same code means the same task."""
+        """SHA-256 of names, targets and numbers in order; sets with equal fingerprints number their tasks alike."""
         return hashlib.sha256(json.dumps(self.document, sort_keys=True).encode()).hexdigest()
 
     def index(self, name: str) -> int:
+        """Returns a task's position by its name; raises UsageError if there is none."""
         if name not in self.names:
             raise unknown("task", name, self.names)
         return self.names.index(name)
 
 
 def task_set(tasks: Sequence[Task]) -> TaskSet:
-    """A set of at least one task, none twice.
+    """Builds a set of at least one task, each given once.
 
     Raises:
-      UsageError: no task, or a task given twice.
+      UsageError: there is no task, or one is given twice.
     """
     names = [task.name for task in tasks]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
-        raise UsageError(f"task {twice[0]!r} is given twice")
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise UsageError(f"task {repeated[0]!r} is given twice")
     if not tasks:
         raise UsageError("a task set needs at least one task")
     return TaskSet(tuple(tasks))

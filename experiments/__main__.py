@@ -1,4 +1,4 @@
-"""`python -m experiments`: lists the paper's tables and figures, runs what is missing of each, reports them all."""
+"""`python -m experiments`: list the paper's tables and figures, run what is missing of each, and report them all."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ear_jax.errors import UsageError, unknown
 from ear_jax.process.terminal import say
 from experiments.inventory import is_trained, jobs, missing, side_by_side
 from experiments.paper import EXPERIMENTS
-from experiments.reproduce import keep, make_whole, plan
+from experiments.reproduce import complete, keep, plan
 
 PROGRAM = "python -m experiments"
 
 
 @dataclass(frozen=True)
 class ListCommand:
-    """Every table and figure, and what of it is there."""
+    """List every table and figure, and how much of each is recorded."""
 
     preset: str = "fast"
     """The preset of the runs."""
@@ -33,53 +33,53 @@ class ListCommand:
 
 @dataclass(frozen=True)
 class ReproduceCommand:
-    """Run what is missing of a table or figure; once more goes on where it stopped.
+    """Run what is missing of a table or figure. The same command continues where it stopped.
 
-    Several at once share the work: each takes what no other has in hand, as in `taskset -c 1 python -m experiments
-    reproduce table-1`, one for each core.
+    Several processes share the work: each takes runs that no other has started, as in `taskset -c 1 python -m
+    experiments reproduce table-1`, one for each core.
     """
 
     id: tyro.conf.Positional[str]
-    """As in table-1 or figure-5."""
+    """The table or figure, as in table-1 or figure-5."""
     preset: str = "fast"
     """The preset of the runs."""
     seeds: int | None = None
     """Seeds of each run; by default the paper's number, or one for a picture."""
     minutes: float | None = None
-    """Stop each run past this much wall time; by default at the preset's epochs."""
+    """Stop each run after this much wall time; by default after the preset's epochs."""
     together: bool = False
-    """Train the seeds that a method lacks side by side, as one run, which an accelerator does in little more time."""
+    """Train the missing seeds of a method side by side, as one run; on an accelerator this takes little more time."""
     dry_run: bool = False
-    """Only say what would be run."""
+    """Only print the commands."""
 
 
 @dataclass(frozen=True)
 class KeepCommand:
-    """Make a record of a run that `ear train` made, of one seed or of several side by side."""
+    """Make a record of a run of `ear train`, with one seed or several side by side."""
 
     run: tyro.conf.Positional[Path]
     """The run directory."""
     name: str | None = None
-    """The record's name; by default FAMILY-AGENT-PRESET-seedN, by which the paper's tables find it."""
+    """The record's name; by default FAMILY-AGENT-PRESET-seedN, which the paper's tables look for."""
 
 
 def list_all(words: list[str]) -> None:
     command = parse(ListCommand, words, "list", program=PROGRAM)
     check_seeds(command.seeds)
     table = Table()
-    for heading in ("", "shows", "runs", "documents"):
+    for heading in ("", "shows", "runs", "analyses"):
         table.add_column(heading, overflow="fold")
     for experiment in EXPERIMENTS.values():
         wanted = jobs(experiment, command.preset, command.seeds)
-        documents = sum(len(job.analyses) for job in wanted)
-        made = documents - sum(len(missing(job)) for job in wanted)
+        analyses = sum(len(job.analyses) for job in wanted)
+        done = analyses - sum(len(missing(job)) for job in wanted)
         counts = (
             f"{sum(map(is_trained, wanted))}/{len(wanted)}" if wanted else "–",
-            f"{made}/{documents}" if documents else "–",
+            f"{done}/{analyses}" if analyses else "–",
         )
         table.add_row(experiment.id, experiment.shows, *counts)
     Console(highlight=False).print(table)
-    print(f"`{PROGRAM} reproduce ID` runs what is missing; with --dry-run it tells the commands.")
+    print(f"`{PROGRAM} reproduce ID` runs what is missing; with --dry-run it only prints the commands.")
 
 
 def reproduce(words: list[str]) -> None:
@@ -93,9 +93,9 @@ def reproduce(words: list[str]) -> None:
         for line in (line for job in wanted for line in plan(job)):
             print(line)
         return
-    left = len(wanted) - sum(make_whole(job) for job in wanted)
-    all_of_it = f"{command.id} is whole: {len(wanted)} runs"
-    say(f"{command.id}: of {len(wanted)} runs {left} are left to other processes" if left else all_of_it)
+    left = len(wanted) - sum(complete(job) for job in wanted)
+    message = f"{command.id} is complete: {len(wanted)} runs"
+    say(f"{command.id}: {left} of {len(wanted)} runs are left to other processes" if left else message)
 
 
 def check_seeds(seeds: int | None) -> None:
@@ -105,17 +105,17 @@ def check_seeds(seeds: int | None) -> None:
 
 def keep_run(words: list[str]) -> None:
     command = parse(KeepCommand, words, "keep", program=PROGRAM)
-    say(f"kept as {keep(command.run, command.name)}")
+    say(f"recorded as {keep(command.run, command.name)}")
 
 
 def report(words: list[str]) -> None:
-    from experiments.report import command  # imports matplotlib, which the others do without
+    from experiments.report import command  # slow to import: matplotlib and JAX
 
     command.report(words)
 
 
 def publish(words: list[str]) -> None:
-    from experiments.publish import main  # which waits for the policy's physics
+    from experiments.publish import main  # slow to import: JAX and MuJoCo
 
     main(words)
 
@@ -131,7 +131,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(words: list[str]) -> None:
     if words[:1] in (["-h"], ["--help"]):
-        print(f"{__doc__}\n\ncommands: {', '.join(COMMANDS)}; `{PROGRAM} COMMAND --help` tells what each takes")
+        print(f"{__doc__}\n\ncommands: {', '.join(COMMANDS)}; `{PROGRAM} COMMAND --help` lists its options")
         return
     if not words or words[0] not in COMMANDS:
         raise unknown("command", words[0] if words else "", COMMANDS)

@@ -1,4 +1,4 @@
-"""The card of an agent that ships: how it was trained, what it reaches and what it does not, computed from a record."""
+"""The card of an agent that ships: its training, its results and its limits, computed from a record."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ UNKNOWN = "It has not been evaluated: which tasks it meets is not known."
 def make_card(
     name: str, trained: Trained, command: str, rows: list[dict[str, Any]], evaluation: dict[str, Any] | None
 ) -> dict[str, Any]:
-    """What a person should know of an agent, but for its file's size and checksum.
+    """Returns all of an agent's card except the size and checksum of its file.
 
     Args:
-      name: what it is called.
-      trained: its policy, of one seed.
-      command: the `ear train` that trained it, and the seeds beside it.
-      rows: the run's metrics, of all its seeds.
-      evaluation: what `ear evaluate --json` printed of them, if anything.
+      name: the agent's name.
+      trained: its policy, a single seed.
+      command: the `ear train` command that trained it, with all seeds of the run.
+      rows: the run's metrics, all seeds.
+      evaluation: the document of `ear evaluate --json` on the run, if there is one.
 
     Raises:
-      RunError: the metrics have no row of the policy's epoch.
+      RunError: the metrics lack a row for the policy's epoch.
     """
     config, about, family = trained.program.config, trained.about, trained.program.family
     rows = [row for row in rows if row["seed"] == config.seed and row["epoch"] <= trained.epoch]
     if not rows or rows[-1]["epoch"] != trained.epoch:
-        raise RunError(f"{trained.name} is of epoch {trained.epoch}, and metrics.jsonl beside it has no row of that")
+        raise RunError(f"{trained.name} is from epoch {trained.epoch}, for which metrics.jsonl has no row")
     last = rows[-1]
     if evaluation:
-        found = next(one for one in evaluation["seeds"] if one["seed"] == config.seed)
+        measured = next(entry for entry in evaluation["seeds"] if entry["seed"] == config.seed)
         episodes, source = evaluation["episodes"], "evaluation.json"
-        mean_return, tasks = found["mean_return"], [judge(family, task, found["tasks"]) for task in found["tasks"]]
+        mean_return = measured["mean_return"]
+        tasks = [judge(family, task, measured["tasks"]) for task in measured["tasks"]]
     else:
         mean_return, episodes, source = last["mean_return"], config.log.episodes, "metrics.jsonl, last row"
         tasks = [{"name": task, "return": value} for task, value in last["returns"].items()]
@@ -46,13 +47,13 @@ def make_card(
         "preset": config.preset,
         "command": command,
         "seed": config.seed,
-        "side_by_side": about.get("side_by_side", 1),  # seeds that were trained in those minutes
+        "side_by_side": about.get("side_by_side", 1),  # seeds trained in these minutes
         "env_steps": last["env_steps"],
         "updates": last["updates"],
         "minutes": round(last["seconds"] / 60, 1),
         "mean_return": mean_return,
         "returns_from": source,
-        "episodes": episodes,  # a task
+        "episodes": episodes,  # for each task
         "limits": limits(tasks, episodes, family.unit) if evaluation else UNKNOWN,
         "tasks": tasks,
         "learning_curve": thinned(rows),
@@ -61,22 +62,33 @@ def make_card(
 
 
 def judge(family: Family, task: dict[str, Any], all_tasks: list[dict[str, Any]]) -> dict[str, Any]:
-    """A task of an evaluation, and if it commands something, whether it is met.
+    """Returns a task of an evaluation for the card; a task with a target also says if it is met.
 
-    It is where every episode lasts and what is achieved is nearer to its target than half way to the next task's.
+    A task is met if every episode lasts and the achieved value is off by less than half the distance to the next task.
     """
-    kept = {"name": task["name"], "target": task["target"], "return": task["return_mean"], "failures": task["failures"]}
+    result = {
+        "name": task["name"],
+        "target": task["target"],
+        "return": task["return_mean"],
+        "failures": task["failures"],
+    }
     if task["target"] is None:
-        return {**kept, "outcome": task["outcome"]}
+        return {**result, "outcome": task["outcome"]}
     achieved = task["outcome"][family.commanded]
-    others = [one["target"] for one in all_tasks if one["target"] not in (None, task["target"])]
+    others = [other["target"] for other in all_tasks if other["target"] not in (None, task["target"])]
     gap = min((abs(family.difference(other, task["target"])) for other in others), default=float("inf"))
     error = abs(family.difference(achieved, task["target"]))
-    return {**kept, "achieved": achieved, "error": error, "met": error < gap / 2 and not task["failures"]}
+    return {**result, "achieved": achieved, "error": error, "met": error < gap / 2 and not task["failures"]}
 
 
 def limits(tasks: list[dict[str, Any]], episodes: int, unit: str) -> str:
-    """Which tasks an agent does not meet, and what it does without a target; `episodes` a task were played."""
+    """Describes which tasks an agent does not meet, and its outcomes on tasks without a target.
+
+    Args:
+      tasks: the card's tasks.
+      episodes: episodes played for each task.
+      unit: the unit of targets.
+    """
     judged = [task for task in tasks if "met" in task]
     missed = [task for task in judged if not task["met"]]
     off = ", ".join(f"{task['achieved']:.2f} for {task['name']}" for task in missed if not task["failures"])
@@ -89,8 +101,8 @@ def limits(tasks: list[dict[str, Any]], episodes: int, unit: str) -> str:
         f"ends early in {over}" if over else "",
         f"on tasks without a target has {free}" if free else "",
     ]
-    told = "; ".join(filter(None, parts))
-    return f"{told[0].upper()}{told[1:]}."
+    sentence = "; ".join(filter(None, parts))
+    return f"{sentence[0].upper()}{sentence[1:]}."
 
 
 def _means(outcome: dict[str, float]) -> str:
@@ -98,7 +110,7 @@ def _means(outcome: dict[str, float]) -> str:
 
 
 def thinned(rows: list[dict[str, Any]]) -> list[dict[str, float]]:
-    """At most `CURVE_POINTS` rows of the metrics, evenly spaced up to the last."""
+    """Returns at most `CURVE_POINTS` rows of the metrics, evenly spaced and including the last."""
     every = -(-len(rows) // CURVE_POINTS)
     return [
         {

@@ -15,7 +15,7 @@ RUNS = Path("runs")
 
 
 def train_words(job: Job) -> list[str]:
-    """The `ear` command that trains a job, or continues it, or finds it finished."""
+    """Returns the `ear` command that trains a job; on a started run it continues, on a finished run it does nothing."""
     config = job.config
     words = ["train", config.family, "--agent", config.agent, "--preset", config.preset, "--seed", str(config.seed)]
     words += ["--seeds", str(config.seeds)] if config.seeds > 1 else []
@@ -23,35 +23,38 @@ def train_words(job: Job) -> list[str]:
 
 
 def is_copied(run: Path, record: Path) -> bool:
-    """Whether a run on this machine is the one that a record is of."""
-    rows, kept = (place / "metrics.jsonl" for place in (run, record))
-    return rows.is_file() and kept.is_file() and rows.read_bytes() == kept.read_bytes()
+    """Returns whether a run on this machine is the source of a record."""
+    rows, recorded = (directory / "metrics.jsonl" for directory in (run, record))
+    return rows.is_file() and recorded.is_file() and rows.read_bytes() == recorded.read_bytes()
 
 
 def export_words(run: Path, record: Path) -> list[str]:
-    """The `ear` command that puts a run's policy into its record."""
+    """Returns the `ear` command that exports a run's policy to its record."""
     return ["export", str(run), _from_here(record / POLICY)]
 
 
 def analysis_words(job: Job, analysis: Analysis) -> list[str]:
-    """The `ear` command that makes an analysis of a job's run or, where that is not the recorded one, of the policy."""
+    """Returns the `ear` command of an analysis: on the job's run, or on the recorded policy if the run is not here."""
     run = RUNS / job.name
     holder = _from_here(job.policy) if job.policy.is_file() and not is_copied(run, job.record) else str(run)
     return [analysis.command, holder, *analysis.options, "--json"]
 
 
 def _from_here(path: Path) -> str:
-    """As a command in this directory names it: records keep commands, and no record is of one machine."""
+    """Returns a path relative to the working directory: commands are recorded, and must not depend on a machine."""
     return os.path.relpath(path)
 
 
 def command_line(config: Config) -> str:
-    """`ear train` with these settings: what today's preset has otherwise is a flag, but for engine and checkpoints."""
+    """Returns `ear train` with these settings, with flags for those that differ from today's preset.
+
+    Engine and checkpoint settings are left out.
+    """
     words = ["ear", "train", config.family]
-    usual = {**flat(preset_config(config.family, config.preset, config.agent)), "preset": "fast", "agent": "ear"}
+    defaults = {**flat(preset_config(config.family, config.preset, config.agent)), "preset": "fast", "agent": "ear"}
     for name, value in flat(config).items():
-        if value != usual[name] and name.split(".")[0] not in ("engine", "checkpoint"):
+        if value != defaults[name] and name.split(".")[0] not in ("engine", "checkpoint"):
             values = value if isinstance(value, tuple) else [value]
             words.append(f"--{name.replace('_', '-')}")
-            words += [f"{one:g}" if isinstance(one, float) else str(one) for one in values]
+            words += [f"{item:g}" if isinstance(item, float) else str(item) for item in values]
     return shlex.join(words)

@@ -1,8 +1,7 @@
-"""What of the paper is there: the records of runs, told apart by their settings. Imports no JAX.
+"""The records of runs, identified by their settings, and what is missing of the paper. Imports no JAX.
 
-A record is a run directory without its checkpoints, of one seed or of several side by side: `config.json`,
-`metrics.jsonl`, the policy as `ear export` writes it, and a JSON document an analysis, with its picture where that is
-kept.
+A record is a run directory without its checkpoints, with one seed or several side by side: `config.json`,
+`metrics.jsonl`, the policy as `ear export` writes it, and a JSON document for each analysis, some with a picture.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from experiments.paper import Analysis, Experiment, Method
 
 RECORDS = Path(__file__).with_name("records")
 POLICY = "policy.safetensors"
-# Settings by which a run is no other run: how long it may go on and what is watched, and what the others are called.
+# Settings in which runs may differ and still count as the same: length, seeds, logging, and the preset's name.
 BUDGET = ("seed", "seeds", "epochs", "minutes", "engine", "log", "checkpoint", "preset")
 
 
 @dataclass(frozen=True)
 class Job:
-    """One seed of a method, or several side by side, and the analyses that are wanted of it."""
+    """One seed of a method, or several side by side, with the analyses wanted of it."""
 
     config: Config
     analyses: tuple[Analysis, ...]
@@ -36,25 +35,25 @@ class Job:
 
     @property
     def record(self) -> Path:
-        """Where it is recorded, or would be: by itself, or among the seeds that it was trained beside."""
+        """The job's record, existing or not: a directory of its own, or one with seeds trained side by side."""
         alone, method = RECORDS / self.name, self.name.removesuffix(str(self.config.seed))
-        places = [alone, *sorted(RECORDS.glob(f"{method}s*"))]
-        return next((place for place in places if _holds(place, self.config)), alone)
+        candidates = [alone, *sorted(RECORDS.glob(f"{method}s*"))]
+        return next((record for record in candidates if _holds(record, self.config)), alone)
 
     @property
     def policy(self) -> Path:
-        """Where the record has what the run has learnt."""
+        """The exported policy in the record."""
         return self.record / POLICY
 
 
 def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes: float | None = None) -> list[Job]:
-    """All that an experiment needs under a preset.
+    """Returns all jobs of an experiment under a preset.
 
     Args:
-      experiment: which.
+      experiment: the table or figure.
       preset: a preset's name.
-      seeds: how many; by default the experiment's.
-      minutes: where to stop each run; by default the preset's epochs decide.
+      seeds: number of seeds; by default the experiment's.
+      minutes: wall time after which each run stops; by default the preset's epochs decide.
     """
 
     def job(method: Method, seed: int) -> Job:
@@ -65,7 +64,7 @@ def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes:
 
 
 def is_trained(job: Job) -> bool:
-    """Whether there is a record of a run with today's settings that has come to the end of its budget."""
+    """Returns whether a run with today's settings is recorded to the end of its budget."""
     return _holds(job.record, job.config)
 
 
@@ -74,23 +73,23 @@ def _holds(record: Path, config: Config) -> bool:
     if not rows:
         return False
     try:
-        made = from_dict(records.read_run(record)["config"])
-    except UsageError:  # no configuration, or a setting that is no more
+        recorded = from_dict(records.read_run(record)["config"])
+    except UsageError:  # no configuration, or a setting that no longer exists
         return False
     budget = {name: getattr(config, name) for name in BUDGET}
     last, minutes = rows[-1], config.minutes
     spent = last["epoch"] >= config.epochs or (minutes is not None and last["seconds"] >= 60 * minutes)
-    seeds = made.seed <= config.seed and config.seed + config.seeds <= made.seed + made.seeds
-    return spent and seeds and dataclasses.replace(made, **budget) == config
+    includes_seeds = recorded.seed <= config.seed and config.seed + config.seeds <= recorded.seed + recorded.seeds
+    return spent and includes_seeds and dataclasses.replace(recorded, **budget) == config
 
 
 def is_kept(job: Job) -> bool:
-    """Whether the record has all that is needed of the run, wherever that was trained."""
+    """Returns whether the record has everything needed from the run, wherever that was trained."""
     return is_trained(job) and job.policy.is_file()
 
 
 def side_by_side(wanted: list[Job]) -> list[Job]:
-    """The same jobs, but where a method lacks several seeds, one run of all from the first to the last of these."""
+    """Returns the same jobs, with the missing seeds of each method merged into one run from the first to the last."""
     kept, lacking = [], {}
     for job in wanted:
         if is_kept(job):
@@ -105,10 +104,11 @@ def side_by_side(wanted: list[Job]) -> list[Job]:
 
 
 def missing(job: Job) -> list[Analysis]:
-    """The analyses whose documents are not there; all, where the run is not."""
+    """Returns the analyses without a document; all of them if the run is missing."""
     trained = is_trained(job)
-    return [one for one in job.analyses if not (trained and (job.record / f"{one.name}.json").is_file())]
+    return [analysis for analysis in job.analyses if not (trained and (job.record / f"{analysis.name}.json").is_file())]
 
 
-def is_whole(job: Job) -> bool:
+def is_complete(job: Job) -> bool:
+    """Returns whether a job is trained and has all its analyses."""
     return is_trained(job) and not missing(job)

@@ -1,7 +1,7 @@
-"""The paper's tables and figures by number, and what we add, each with the runs it needs. Data; imports no JAX.
+"""The paper's tables and figures by number, and our own, each with the runs it needs. Data; imports no JAX.
 
-What the paper's tables say stands in `paper.json`: by id the columns, and the rows of each panel (of a seed, or of two
-tasks). The paper's figures are curves and pictures and give no numbers; its figure 1 draws the idea and needs no run.
+`paper.json` holds the numbers of the paper's tables: for each id the columns, and the rows of each panel (a seed, or a
+pair of tasks). The paper's figures are curves and pictures without numbers; its figure 1 is a diagram and needs no run.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ NUMBERS = Path(__file__).with_name("paper.json")
 
 @dataclass(frozen=True)
 class Analysis:
-    """An `ear` command on a trained run, whose JSON document is kept under a name."""
+    """An `ear` command on a trained run, whose JSON document is recorded under a name."""
 
     name: str
     command: str
     options: tuple[str, ...] = ()
-    picture: str = ""  # which of the files that the document names is kept beside it
+    picture: str = ""  # key of the file in the document that is recorded with it
 
 
 @dataclass(frozen=True)
 class Method:
-    """What is trained on one family, once a seed, and what is then done with it."""
+    """A method trained on one family, once for each seed, with the analyses to follow."""
 
     family: str
     agent: str
-    variant: str  # what the preset's name goes on with, as in +no-noise
+    variant: str  # suffix of the preset's name, as in +no-noise
     analyses: tuple[Analysis, ...]
 
 
@@ -41,7 +41,7 @@ class Experiment:
 
     id: str
     shows: str
-    methods: tuple[Method, ...] = ()  # none: it tells settings
+    methods: tuple[Method, ...] = ()  # none: the table lists settings
     seeds: int = 3  # the paper's
 
 
@@ -51,23 +51,23 @@ def methods(
     agents: tuple[str, ...] = ("ear",),
     variants: tuple[str, ...] = ("",),
 ) -> tuple[Method, ...]:
-    """Every agent and variant on every family."""
+    """Returns every agent and variant on every family."""
     return tuple(Method(*names, analyses) for names in product(families, agents, variants))
 
 
 def between(kind: str, first: str, second: str, *options: str) -> Analysis:
-    """A blend of two tasks, kept as KIND-FIRST-SECOND."""
+    """Returns the analysis of a blend of two tasks, named KIND-FIRST-SECOND."""
     command = "compose" if kind == "composition" else "interpolate"
     return Analysis(f"{kind}-{first}-{second}", command, ("--between", first, second, *options))
 
 
 def stills(name: str, first: str, second: str, *options: str) -> Analysis:
-    """Poses along roll-outs of two tasks and blends of them."""
+    """Returns the analysis that draws poses along roll-outs of two tasks and of their blends."""
     return Analysis(name, "render", ("--interpolate", first, second, *options, "--no-film"), picture="strip")
 
 
 def numbers() -> dict[str, Any]:
-    """The paper's tables by id: `columns`, and `panels` of rows by what they are of."""
+    """Returns the paper's tables by id: `columns`, and `panels`, lists of rows by name."""
     return json.loads(NUMBERS.read_text())
 
 
@@ -106,7 +106,7 @@ TABLES = (
     Experiment("table-4", "2 and 3 m/s interpolated", methods((CHEETAH,), EVALUATION, *MET)),
     Experiment("table-5", "success of interpolation", methods(FAMILIES, INTERPOLATION)),
     Experiment("table-6", "extrapolation", methods((CHEETAH,), *SPEEDS_BEYOND) + methods((ANT,), *DIRECTIONS_BEYOND)),
-    Experiment("table-7", "where episodes end without LTE noise", methods((ANT,), EVALUATION, variants=("+no-noise",))),
+    Experiment("table-7", "length of episodes without LTE noise", methods((ANT,), EVALUATION, variants=("+no-noise",))),
     Experiment("table-8", "failures without LTE noise", methods((ANT,), EVALUATION, variants=("", "+no-noise"))),
     Experiment(
         "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, variants=("", "+no-norm"))
@@ -155,7 +155,7 @@ OURS = (
     ),
     Experiment(
         "gathered",
-        "EAR whose LTEs begin gathered",
+        "EAR with LTEs gathered at the start",
         methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", GATHERED)),
     ),
     Experiment(

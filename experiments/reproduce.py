@@ -1,4 +1,4 @@
-"""Runs what is missing of a table or figure, each step an `ear` command in a process of its own."""
+"""Runs what is missing of a table or figure; each step is an `ear` command in a process of its own."""
 
 from __future__ import annotations
 
@@ -20,31 +20,34 @@ from ear_jax.runs import records
 from ear_jax.runs.lock import InUse, lock_directory
 from experiments import inventory
 from experiments.commands import RUNS, analysis_words, export_words, is_copied, train_words
-from experiments.inventory import POLICY, Job, is_kept, is_whole, missing
+from experiments.inventory import POLICY, Job, is_complete, is_kept, missing
 from experiments.paper import Analysis
 
-IN_HAND = ".reproduce"  # where a process locks the jobs that it is at, so that several can share a table
+IN_HAND = ".reproduce"  # directory of locks on jobs in progress, so that several processes can share a table
 
 
 def plan(job: Job) -> list[str]:
-    """The command lines that would make a job whole."""
-    if is_whole(job):
+    """Returns the command lines that complete a job."""
+    if is_complete(job):
         return []
     run, record = RUNS / job.name, inventory.RECORDS / job.name
     training = [] if is_kept(job) else [train_words(job), export_words(run, record)]
-    return [shlex.join(["ear", *words]) for words in (*training, *(analysis_words(job, one) for one in missing(job)))]
+    return [
+        shlex.join(["ear", *words])
+        for words in (*training, *(analysis_words(job, analysis) for analysis in missing(job)))
+    ]
 
 
-def make_whole(job: Job) -> bool:
-    """Trains a job and analyses it, as far as that has not been done and no other process is at it.
+def complete(job: Job) -> bool:
+    """Trains and analyses a job, as far as this has not been done and no other process is working on it.
 
     Returns:
-      Whether it is whole: another process may have it in hand, and it is left to that.
+      Whether the job is complete; False if it is left to another process.
 
     Raises:
-      RunError, Stopped: as `run_ear`; what has been done stays, and the next call goes on from there.
+      RunError, Stopped: as `run_ear`; finished steps stay, and the next call continues from there.
     """
-    if is_whole(job):
+    if is_complete(job):
         return True
     try:
         with lock_directory(RUNS / IN_HAND / job.name, lambda _: None):
@@ -52,11 +55,11 @@ def make_whole(job: Job) -> bool:
                 say(line)
             if not is_kept(job):
                 run_ear(train_words(job))
-                keep(RUNS / job.name, anew=True)
+                keep(RUNS / job.name, replace=True)
             for analysis in missing(job):
                 analyse(job, analysis)
     except InUse:
-        say(f"{job.name} is left to another process, which is at it")
+        say(f"{job.name} is left to another process, which is working on it")
         return False
     return True
 
@@ -71,33 +74,33 @@ def analyse(job: Job, analysis: Analysis) -> None:
     records.write_json(job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()})
 
 
-def keep(run: Path, name: str | None = None, anew: bool = False) -> Path:
-    """Makes a record of a run, of all its seeds together.
+def keep(run: Path, name: str | None = None, replace: bool = False) -> Path:
+    """Makes a record of a run with all its seeds.
 
     Args:
-      run: its directory.
-      name: the record's; by default that of a run with these family, agent, preset and seeds.
-      anew: whether a record of another run of that name gives way, and with it what was found out of that.
+      run: the run directory.
+      name: the record's name; by default from family, agent, preset and seeds.
+      replace: replaces a record of another run under that name, with its analyses.
 
     Raises:
-      UsageError: it is no run directory, a name that is none, or another run is recorded under it.
-      RunError: it has no metrics, or nothing to export.
+      UsageError: not a run directory, an invalid name, or another run is recorded under the name.
+      RunError: the run has no metrics, or nothing to export.
       Stopped: as `run_ear`.
     """
     name = name or run_name(from_dict(records.read_run(run)["config"]))
     if not re.fullmatch(r"[a-z0-9][a-z0-9.+-]*", name):
-        raise UsageError(f"--name {name} cannot name a record; use small letters, digits, -, + and .")
+        raise UsageError(f"--name {name} cannot name a record; use lower-case letters, digits, -, + and .")
     record = inventory.RECORDS / name
     if not (run / "metrics.jsonl").is_file():
-        raise RunError(f"{run} has no metrics yet; the record stays as it is")
+        raise RunError(f"{run} has no metrics yet; nothing was recorded")
     if not is_copied(run, record):
-        if (record / "metrics.jsonl").exists() and not anew:
-            raise UsageError(f"{record} is of another run; give this one a --name, or remove that first")
+        if (record / "metrics.jsonl").exists() and not replace:
+            raise UsageError(f"{record} records another run; choose another --name, or remove that record first")
         shutil.rmtree(record, ignore_errors=True)
     record.mkdir(parents=True, exist_ok=True)
-    (record / POLICY).unlink(missing_ok=True)  # of a process that was stopped while it wrote
+    (record / POLICY).unlink(missing_ok=True)  # possibly left incomplete by a process that was stopped
     run_ear(export_words(run, record))
-    for name in ("config.json", "metrics.jsonl"):  # by which it counts
+    for name in ("config.json", "metrics.jsonl"):  # last, as a record counts once it has these
         shutil.copyfile(run / name, record / name)
     return record
 
@@ -106,26 +109,26 @@ def run_ear(words: list[str]) -> str:
     """Runs an `ear` command with its messages on our stderr, and returns its stdout.
 
     Raises:
-      Stopped: we were asked to stop, and so was it.
-      RunError: it failed.
+      Stopped: this process was asked to stop; the command was stopped too.
+      RunError: the command failed.
     """
     child = subprocess.Popen([sys.executable, "-m", "ear_jax.cli.main", *words], stdout=subprocess.PIPE, text=True)
 
-    asked: list[int] = []
+    signals: list[int] = []
 
-    def wait_for_it(number: int, frame: FrameType | None) -> None:
-        asked.append(number)
-        if number == signal.SIGTERM:  # Ctrl-C reaches it by itself
+    def pass_on(number: int, frame: FrameType | None) -> None:
+        signals.append(number)
+        if number == signal.SIGTERM:  # Ctrl-C reaches the child directly
             child.terminate()
 
-    before = {number: signal.signal(number, wait_for_it) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         output, _ = child.communicate()
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    if asked:
-        raise Stopped(asked[0])
+    if signals:
+        raise Stopped(signals[0])
     if child.returncode:
         raise RunError(f"`{shlex.join(['ear', *words])}` ended with exit code {child.returncode}")
     return output

@@ -1,7 +1,7 @@
-"""What a few seeds tell: interquartile mean, bootstrap intervals, probability of improvement. NumPy alone.
+"""Statistics of a few seeds: interquartile mean, bootstrap intervals, probability of improvement. NumPy alone.
 
 The definitions are those of Agarwal et al. 2021, "Deep RL at the edge of the statistical precipice" (rliable). Scores
-are [seeds, tasks]. Every statistic takes leading axes too, so that one call serves all of a bootstrap's resamples.
+are [seeds, tasks]. Statistics also take leading axes, so that one call serves all resamples of a bootstrap.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ CONFIDENCE = 0.95
 
 
 def interquartile_mean(scores: np.ndarray) -> np.ndarray:
-    """The mean of the middle half of all scores [..., seeds, tasks], tasks and seeds together: [...].
+    """Returns the mean [...] of the middle half of all scores [..., seeds, tasks], over tasks and seeds.
 
-    Of n scores floor(n / 4) are left out at either end, as `scipy.stats.trim_mean(scores, 0.25, axis=None)` does.
+    Of n scores, floor(n / 4) are left out at either end, as in `scipy.stats.trim_mean(scores, 0.25, axis=None)`.
     """
     scores = np.asarray(scores, float)
     ordered = np.sort(scores.reshape(*scores.shape[:-2], -1))
@@ -26,13 +26,13 @@ def interquartile_mean(scores: np.ndarray) -> np.ndarray:
 
 
 def probability_of_improvement(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
-    """How often a seed of ours beats one of theirs on the same task, the mean over tasks; ties count one half.
+    """Returns how often a seed of ours beats a seed of theirs on the same task, averaged over tasks.
 
     Args:
       ours, theirs: [..., seeds, tasks]; the numbers of seeds may differ.
 
     Returns:
-      [...], from 0 to 1: Mann and Whitney's U over the number of pairs.
+      [...] in [0, 1], Mann and Whitney's U over the number of pairs; ties count one half.
     """
     apart = np.asarray(ours, float)[..., :, None, :] - np.asarray(theirs, float)[..., None, :, :]
     return np.mean((apart > 0) + 0.5 * (apart == 0), axis=(-3, -2, -1))
@@ -41,19 +41,19 @@ def probability_of_improvement(ours: np.ndarray, theirs: np.ndarray) -> np.ndarr
 def bootstrap_interval(
     statistic: Callable[..., np.ndarray], *scores: np.ndarray, seed: int = 0, resamples: int = RESAMPLES
 ) -> tuple[float, float]:
-    """The 95 % percentile interval of a statistic under a stratified bootstrap.
+    """Returns the 95 % percentile interval of a statistic under a stratified bootstrap.
 
     Args:
-      statistic: of as many arrays [resamples, seeds, tasks] as there are scores: [resamples].
-      *scores: each [seeds, tasks]; seeds are drawn with replacement, for each task (a stratum) by themselves.
-      seed: of the draws.
-      resamples: how many.
+      statistic: maps arrays [resamples, seeds, tasks], one for each of `scores`, to [resamples].
+      *scores: each [seeds, tasks]; seeds are drawn with replacement, separately for each task (the strata).
+      seed: seeds the draws.
+      resamples: number of draws.
     """
     rng = np.random.default_rng(seed)
 
     def resample(table: np.ndarray) -> np.ndarray:
-        drawn = rng.integers(0, len(table), (resamples, *table.shape))
-        return np.take_along_axis(np.broadcast_to(table, drawn.shape), drawn, axis=1)
+        rows = rng.integers(0, len(table), (resamples, *table.shape))
+        return np.take_along_axis(np.broadcast_to(table, rows.shape), rows, axis=1)
 
     values = statistic(*(resample(np.asarray(table, float)) for table in scores))
     tail = (1 - CONFIDENCE) / 2

@@ -1,4 +1,4 @@
-"""What acts: networks, critics and action distributions, as pure functions of parameters."""
+"""Agents: networks, critics and action distributions, as pure functions of parameters."""
 
 from ear_jax.agents.agent import Agent, standardised
 

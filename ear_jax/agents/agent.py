@@ -1,4 +1,4 @@
-"""An agent: a method's networks as pure functions of their parameters. Everything after training sees only this."""
+"""The agent: a method's networks as pure functions of their parameters, the only view of a method after training."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ from ear_jax.agents.tanh_gaussian import Gaussian
 
 @dataclass(frozen=True)
 class Agent:
-    """A method's networks; obs is [obs], action [act], code [code], always of one item.
+    """A method's networks, each function for one item: obs [obs], action [act], code [code].
 
-    A code is a row of the code table, and the policy knows a task by nothing else. Interpolation, composition and
-    search only make new rows.
+    A code is a row of the code table and the policy's only input about the task. Interpolation, composition and search
+    produce new codes.
     """
 
     code_size: int
     init_policy: Callable[[jax.Array], Params]
     codes: Callable[[Params], jax.Array]  # policy parameters → code table [tasks, code]
-    project: Callable[[jax.Array], jax.Array]  # any vector [code] → the nearest code, for LTEs on the unit sphere
-    distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs → action's
+    project: Callable[[jax.Array], jax.Array]  # any vector [code] → the nearest valid code, such as a unit LTE
+    distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
     critic: Critic | None  # None for a method without critics
-    code_noise: float = 0.0  # σ of the noise added to a code in the actor's objectives, before projecting it again
+    code_noise: float = 0.0  # σ of the noise added to a code when an update samples actions; it is then projected
     on_sphere: bool = False  # codes are unit vectors
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE
-    own_temperatures: bool = False  # one temperature for each task instead of a shared one
-    infer: Callable[[Params, Context], Posterior] | None = None  # policy parameters, steps of a task → its code
-    tuned: bool = False  # a code is an offset to the policy's parameters, found by gradient steps on a task's episodes
+    own_temperatures: bool = False  # one temperature per task instead of a shared one
+    infer: Callable[[Params, Context], Posterior] | None = None  # policy parameters, steps of a task
+    tuned: bool = False  # codes are offsets to the policy's parameters, found by gradient steps on episodes
 
     @property
     def finds_codes(self) -> bool:
-        """True if codes come from experience in a task; the latest are then kept beside the networks."""
+        """True if codes come from experience in a task; the latest table is then stored beside the networks."""
         return self.tuned or self.infer is not None
 
     @property
     def parameter_counts(self) -> dict[str, int]:
-        """Counts the learnt parameters of the policy and of each critic."""
+        """The numbers of learnt parameters of the policy and of one critic."""
         return {"policy": _count(self.init_policy), "critic": _count(self.critic.init) if self.critic else 0}
 
 
 def standardised(agent: Agent, obs_size: int) -> Agent:
-    """Wraps an agent so that its policy standardises observations by statistics kept among its parameters.
+    """Wraps an agent so that its policy standardises observations by statistics stored among its parameters.
 
-    Policy parameters become `{"standardiser": …, "networks": …}`, with `"codes"`, the latest code table, for agents
-    that find codes from experience. The learner standardises what it shows to critics.
+    Policy parameters become `{"standardiser": …, "networks": …}`, plus `"codes"`, the latest code table, for agents
+    that find codes from experience. The learner standardises the critics' observations.
     """
 
     def init_policy(key: jax.Array) -> Params:

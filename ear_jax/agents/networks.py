@@ -1,4 +1,4 @@
-"""Networks as pure functions of parameters, each written for one item. The only file that knows Flax's modules."""
+"""Networks as pure functions of parameters and one item. The only file that uses Flax modules."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Activation = Callable[[jax.Array], jax.Array]
 
 @dataclass(frozen=True)
 class Network:
-    """One network: `init(key)` gives parameters, `apply(params, x)` maps one item x [in] to [out]."""
+    """One network: `init(key)` returns parameters, `apply(params, x)` maps one item x [in] to [out]."""
 
     init: Callable[[jax.Array], Params]
     apply: Callable[[Params, jax.Array], jax.Array]
@@ -32,7 +32,7 @@ def _uniform(bound: float) -> nn.initializers.Initializer:
 
 
 def _by_fan(axis: int) -> nn.initializers.Initializer:
-    """U(±1/√fan) of a kernel [in, out]; axis 0 is its fan-in, axis 1 its fan-out."""
+    """Initialises a kernel [in, out] by U(±1/√fan); axis 0 is its fan-in, axis 1 its fan-out."""
     return lambda key, shape, dtype=jnp.float32: _uniform(shape[axis] ** -0.5)(key, shape, dtype)
 
 
@@ -41,7 +41,7 @@ def _direction(key: jax.Array, shape: tuple[int, ...], dtype: Any = jnp.float32)
 
 
 def _rounded(x: jax.Array, kernel: jax.Array, *_: Any, **__: Any) -> jax.Array:
-    """As `jax.lax.dot_general` is called by Dense, of which one item is [in]."""
+    """Stands in for `jax.lax.dot_general` in Dense, for one item x [in]."""
     return bfloat16_matmul(x, kernel)
 
 
@@ -78,12 +78,12 @@ def mlp(
     activation: Activation = jax.nn.relu,
     gathered: bool = False,
 ) -> Network:
-    """Layers of the given widths, ReLU by default, from `size` inputs to `out`; without widths, one linear layer.
+    """Builds hidden layers of the given widths, ReLU by default, and a linear one, from `size` inputs to `out`.
 
-    Initialised as in the authors' code (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or
-    by `fan_in` (all weights U(±1/√fan_in), all biases 0), as `config.initialiser` says. `gathered`, the last layer's
-    bias is a random unit vector and its weights are U(±0.03), so that all inputs begin near one output. `config.matmul`
-    is what hidden layers multiply; the last layer always multiplies float32.
+    `config.initialiser` is `authors` (hidden weights U(±1/√fan_out), hidden biases 0.1, the last layer U(±3e-3)) or
+    `fan_in` (all weights U(±1/√fan_in), all biases 0). With `gathered` the last layer's bias is a random unit vector
+    and its weights are U(±0.03), so that outputs start close together. `config.matmul` is the precision of hidden
+    layers; the last layer always multiplies float32.
     """
     module = _Mlp(widths, out, config, layer_norm, activation, gathered)
     return Network(
@@ -91,8 +91,39 @@ def mlp(
     )
 
 
+class _Residual(nn.Module):
+    width: int
+    blocks: int
+    out: int
+    config: NetworkConfig
+
+    @nn.compact
+    def __call__(self, x: jax.Array) -> jax.Array:
+        kernel = _by_fan(1 if self.config.initialiser == "authors" else 0)
+        rounded = None if self.config.matmul == "float32" else _rounded
+
+        def normalised(x: jax.Array) -> jax.Array:
+            return nn.LayerNorm()(nn.Dense(self.width, kernel_init=kernel, dot_general=rounded)(x))
+
+        x = jax.nn.relu(normalised(x))
+        for _ in range(self.blocks):
+            x = x + normalised(jax.nn.relu(normalised(x)))
+        return nn.Dense(self.out, kernel_init=kernel)(x)
+
+
+def residual(size: int, blocks: int, out: int, config: NetworkConfig) -> Network:
+    """Builds BRO's critic network (Nauman et al. 2024, arXiv 2405.16158), from `size` inputs to `out`.
+
+    A layer x ← ReLU(LN(Wx)), then blocks x ← x + LN(W₂ ReLU(LN(W₁x))), all of `config.width`, and a linear layer.
+    """
+    module = _Residual(config.width, blocks, out, config)
+    return Network(
+        lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
+    )
+
+
 def recurrent_layer(size: int, width: int, initialiser: Initialiser) -> Network:
-    """Elman's layer hₜ = tanh(W xₜ + U hₜ₋₁ + b), h₀ = 0, along items [steps, size] to [steps, width]; U orthogonal."""
+    """Builds Elman's layer hₜ = tanh(W xₜ + U hₜ₋₁ + b), h₀ = 0, U orthogonal: [steps, size] → [steps, width]."""
     kernel = _by_fan(1 if initialiser == "authors" else 0)
     module = nn.RNN(nn.SimpleCell(width, kernel_init=kernel))
     return Network(
@@ -102,18 +133,18 @@ def recurrent_layer(size: int, width: int, initialiser: Initialiser) -> Network:
 
 @struct.dataclass
 class Standardiser:
-    """Where observations lie and how far they spread; part of a policy's parameters, and not learnt by gradients."""
+    """Statistics of observations; part of a policy's parameters, but not learnt by gradients."""
 
     mean: jax.Array  # [obs]
     scale: jax.Array  # [obs], 1 / standard deviation
 
     def __call__(self, obs: jax.Array) -> jax.Array:
-        """An observation [obs], or many [n, obs], in standard deviations from the mean."""
+        """Standardises an observation [obs], or several [n, obs]."""
         return (obs - jax.lax.stop_gradient(self.mean)) * jax.lax.stop_gradient(self.scale)
 
 
 def identity(size: int) -> Standardiser:
-    """Leaves observations [size] as they are."""
+    """Returns a standardiser that leaves observations [size] unchanged."""
     return Standardiser(jnp.zeros(size), jnp.ones(size))
 
 

@@ -1,4 +1,4 @@
-"""The posterior over a task's code given steps of the task, as in PEARL."""
+"""PEARL's posterior over a task's code, given steps of that task."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Context:
 
     obs: jax.Array  # [n, obs]
     action: jax.Array  # [n, act]
-    reward: jax.Array  # [n], scaled as for the critics
+    reward: jax.Array  # [n], scaled as in the critics' targets
     valid: jax.Array  # bool [n]: False for padding
 
 
@@ -25,7 +25,7 @@ class Posterior:
     variance: jax.Array  # [code]
 
     def sample(self, noise: jax.Array) -> jax.Array:
-        """Returns the code [code] at standard normal `noise`."""
+        """Returns the code [code] for standard normal `noise` [code]."""
         return self.mean + jnp.sqrt(self.variance) * noise
 
     def kl_to_prior(self) -> jax.Array:
@@ -34,22 +34,22 @@ class Posterior:
 
 
 def prior(size: int) -> Posterior:
-    """Returns N(0, 1), the posterior before any step."""
+    """Returns the prior N(0, 1) over a code [size]."""
     return Posterior(jnp.zeros(size), jnp.ones(size))
 
 
 def product(means: jax.Array, variances: jax.Array, valid: jax.Array) -> Posterior:
-    """Multiplies the valid ones of n normal distributions [n, code]; the prior if none is valid.
+    """Returns the normalised product of the valid normal distributions [n, code], or the prior if none is valid.
 
-    As in PEARL's code (katerakelly/oyster), the prior itself is not a factor.
+    As in PEARL's code (katerakelly/oyster), the prior is not a factor of the product.
     """
     precision = jnp.where(valid[:, None], 1 / variances, 0.0)
     total = jnp.sum(precision, axis=0)
-    some = jnp.any(valid)
-    variance = 1 / jnp.where(some, total, 1.0)
+    any_valid = jnp.any(valid)
+    variance = 1 / jnp.where(any_valid, total, 1.0)
     return Posterior(variance * jnp.sum(precision * means, axis=0), variance)
 
 
 def where(condition: jax.Array, one: Posterior, other: Posterior) -> Posterior:
-    """Selects between two posteriors; `condition` has their leading axes."""
+    """Selects between two posteriors; `condition` has their leading axes, without [code]."""
     return jax.tree.map(lambda a, b: jnp.where(condition[..., None], a, b), one, other)

@@ -1,1 +1,1 @@
-"""The `ear` command: thin, one file of arguments and one a command that has something to say."""
+"""The `ear` command: one module per subcommand, which parses arguments, calls the library and prints."""

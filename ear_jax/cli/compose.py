@@ -2,40 +2,40 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
+import tyro
 from rich.console import Console
 from rich.table import Table
 
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.interpolate import find_end
 from ear_jax.cli.on_run import OnRun
+from ear_jax.cli.results import keep, print_result
 from ear_jax.embeddings.compose import BETAS, compose
 from ear_jax.errors import UsageError
-from ear_jax.figures.compose import draw_gaits
+from ear_jax.figures.compose import draw_compose
 from ear_jax.process.terminal import phase
-from ear_jax.runs import records
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComposeCommand(OnRun):
-    """Do two tasks of different kinds at once: a grid of blends of their LTEs, f(β Z₁ + (1 − β) Z₂)."""
+    """Blend the task embeddings (LTEs) of two tasks of different kinds, to do both at once: f(β Z₁ + (1 − β) Z₂)."""
 
-    between: tuple[str, str]
-    """Two tasks it was trained on, as in walk stand, or LTEs saved by `ear adapt --save`."""
-    beta: tuple[float, ...] = BETAS
-    """The blends: 1 is the first, 0 the second."""
+    between: Annotated[tuple[str, str], tyro.conf.arg(metavar="A B")]
+    """Two training tasks, as in walk stand, or LTEs saved by `ear adapt --save`."""
+    beta: Annotated[tuple[float, ...], tyro.conf.arg(metavar="[β ...]")] = BETAS
+    """The blends: 1 is the first task, 0 the second; values outside [0, 1] extrapolate."""
     steps: int = 1000
-    """Environment steps of each."""
+    """Environment steps per blend."""
 
 
 def main(words: list[str]) -> None:
     command = parse(ComposeCommand, words, "compose")
     check_least(command, steps=2)
     if not command.beta:
-        raise UsageError("--beta needs numbers, as in 1 0.5 0")
+        raise UsageError("--beta needs at least one number, as in --beta 1 0.5 0")
     check_finite("--beta", *command.beta)
     trained = command.load()
     first, second = (find_end(trained, word) for word in command.between)
@@ -43,24 +43,20 @@ def main(words: list[str]) -> None:
         raise UsageError(f"--between {' '.join(command.between)} names one task twice")
     with phase(f"rolling out {len(command.beta)} blends"):
         document = compose(trained, first, second, command.beta, command.steps, command.seed)
-    records.write_json(trained.directory / "composition.json", {**document, **records.provenance()})
-    pictures = draw_gaits(trained.directory / "figures", document)
-    if command.json:
-        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
-        return
-    _print(document)
-    print("pictures: " + ", ".join(str(path) for path in pictures))
+    pictures = keep(trained.directory, "composition.json", document, draw_compose)
+    print_result(document, pictures, command.json, _print)
 
 
 def _print(document: dict[str, Any]) -> None:
+    """Prints one row per seed and blend."""
     names = list(document["seeds"][0]["blends"][0]["outcome"])
     table = Table(title=f"{document['between'][0]} (β = 1) to {document['between'][1]} (β = 0)", title_justify="left")
     for heading in ("seed", "β", *names, *(f"{foot} foot down" for foot in document["feet"]), "steps"):
         table.add_column(heading, justify="right")
-    for one in document["seeds"]:
-        for blend in one["blends"]:
+    for entry in document["seeds"]:
+        for blend in entry["blends"]:
             outcomes = (f"{blend['outcome'][name]:.2f}" for name in names)
             feet = (f"{blend['contact'][foot]:.0%}" for foot in document["feet"])
-            fell = f"{blend['length']}, fell" if blend["fell"] else str(blend["length"])
-            table.add_row(str(one["seed"]), f"{blend['beta']:g}", *outcomes, *feet, fell)
+            steps = f"{blend['length']}, fell" if blend["fell"] else str(blend["length"])
+            table.add_row(str(entry["seed"]), f"{blend['beta']:g}", *outcomes, *feet, steps)
     Console(highlight=False).print(table)

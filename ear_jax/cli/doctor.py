@@ -15,7 +15,7 @@ from ear_jax.runs import records
 
 @dataclass(frozen=True)
 class DoctorCommand:
-    """Say what this installation is. Exits with 1 on a combination known not to work."""
+    """Check this installation. The exit code is 1 if its versions are known not to work together."""
 
     json: bool = False
     """Print one JSON document and nothing else."""
@@ -35,30 +35,28 @@ def main(words: list[str]) -> None:
 
 
 def known_bad(versions: dict[str, str | None], python: tuple[int, int]) -> list[str]:
-    """What is wrong with a set of installed versions, a line each; nothing where it is known to work.
+    """Lists the problems of a set of installed versions, one line each.
 
     Args:
-      versions: package → version, None where it is missing.
+      versions: package → version, or None if it is missing.
       python: major and minor version.
     """
     problems = [f"{package} is not installed" for package, version in versions.items() if version is None]
     if not (3, 11) <= python < (3, 14):
         problems.append(f"Python {python[0]}.{python[1]} is not supported; use 3.11, 3.12 or 3.13")
-    pairs = (("mujoco", "mujoco-mjx", 3), ("jax", "jaxlib", 2))  # and how many numbers of the version must agree
+    pairs = (("mujoco", "mujoco-mjx", 3), ("jax", "jaxlib", 2))  # with the number of version parts that must agree
     for first, second, numbers in pairs:
         one, other = versions.get(first), versions.get(second)
         if one and other and one.split(".")[:numbers] != other.split(".")[:numbers]:
-            problems.append(
-                f"{first} {one} and {second} {other} do not belong together; install the same version of both"
-            )
+            problems.append(f"{first} {one} and {second} {other} do not match; install the same version of both")
     jax_version = versions.get("jax")
     if jax_version and not (0, 10) <= tuple(int(part) for part in jax_version.split(".")[:2]) < (0, 13):
-        problems.append(f"jax {jax_version} is untried; 0.10, 0.11 and 0.12 work")
+        problems.append(f"jax {jax_version} is untested; 0.10, 0.11 and 0.12 work")
     return problems
 
 
 def _running() -> dict[str, Any]:
-    """What can only be told by starting JAX."""
+    """Returns the findings that need JAX."""
     import jax
 
     from ear_jax.physics import choose_engine
@@ -88,7 +86,7 @@ def _print(findings: dict[str, Any], indent: str = "") -> None:
         elif name == "problems":
             print("problems: " + ("; ".join(value) or "none"))
         elif name == "rendering" and value is None:
-            print("rendering: none found; figures work, pictures of the robot need libegl1 or libosmesa6")
+            print("rendering: none found; figures work, but pictures of the robot need libegl1 or libosmesa6")
         else:
             shown = ", ".join(map(str, value)) if isinstance(value, list) else "none" if value is None else value
             print(f"{indent}{name.replace('_', ' ')}: {shown}")

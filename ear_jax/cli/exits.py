@@ -1,4 +1,4 @@
-"""How a command line ends: with a line about what went wrong, and an exit code."""
+"""The end of a command line: one line about the error, and an exit code."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from ear_jax.process.stopping import Stopped
 
 
 def exit_code(program: str, command: Callable[[], None]) -> int:
-    """Runs a command; returns 0, 1 (failed), 2 (usage), 130 or 143 (stopped, and saved), having said why."""
+    """Runs a command, prints its error if it fails, and returns the exit code.
+
+    Returns:
+      0, 1 (failed), 2 (usage), or 130 or 143 (stopped by a signal, with its state saved).
+    """
     try:
         command()
         sys.stdout.flush()
@@ -23,11 +27,11 @@ def exit_code(program: str, command: Callable[[], None]) -> int:
         print(f"{program}: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # whoever read us has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader of stdout has left
         return 1
     except OSError as error:
-        why = f"{error.filename}: {error.strerror}" if error.filename else error
-        print(f"{program}: {why}", file=sys.stderr)
+        reason = f"{error.filename}: {error.strerror}" if error.filename else error
+        print(f"{program}: {reason}", file=sys.stderr)
         return 1
     except Stopped as stop:
         return stop.exit_code

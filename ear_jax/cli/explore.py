@@ -14,12 +14,15 @@ from ear_jax.rendering.explore import play_sphere
 
 @dataclass(frozen=True, kw_only=True)
 class ExploreCommand(OnPolicy):
-    """Make a page on which you point at the sphere of codes and see what the robot does there. It needs no network."""
+    """Make a web page on which you point at the sphere of task embeddings (LTEs) and watch what the robot does.
+
+    The page is one file and needs no network.
+    """
 
     places: int = 800
-    """Codes."""
+    """LTEs on the page, spread evenly over the sphere."""
     steps: int = 200
-    """Environment steps under each, of which the page shows the second half."""
+    """Environment steps per LTE, of which the page shows the second half."""
 
 
 def main(words: list[str]) -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import option, parse
 from ear_jax.errors import UsageError
 from ear_jax.runs import records
 from ear_jax.runs.export import SUFFIX
@@ -17,16 +18,16 @@ from ear_jax.runs.trained import load, pick, save
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """Write a run's newest policy to one file, which every command takes that takes a run. It has no replay."""
+    """Write a run's newest policy to one file, which every command accepts in place of a run. It holds no replay."""
 
-    run: tyro.conf.Positional[Path]
+    run: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """The run directory, an exported file, or pretrained:NAME."""
-    file: tyro.conf.Positional[Path]
-    """The file, FILE.safetensors, which must not be there yet."""
-    policy: int | None = None
-    """Of a run of several seeds, whose policy: 0 is the first. By default those of all."""
-    family: str | None = None
-    """A family of your own has to be named again, as for `ear train`."""
+    file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE")]]
+    """The new file, which must end in .safetensors."""
+    policy: Annotated[int | None, option("INT", "those of all seeds")] = None
+    """The policy to write of a run with several seeds; 0 is the first seed's."""
+    family: Annotated[str | None, option("FAMILY", "the run's")] = None
+    """The run's family, as for `ear train`; required for a family of your own."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
@@ -36,8 +37,8 @@ def main(words: list[str]) -> None:
     if command.file.suffix != SUFFIX:
         raise UsageError(f"{command.file} must end in {SUFFIX}")
     if command.file.exists():
-        raise UsageError(f"{command.file} is there already; name another file")
-    trained = load(command.run, command.family, "auto")  # no physics is stepped: not that of its own machine
+        raise UsageError(f"{command.file} already exists; name another file")
+    trained = load(command.run, command.family, "auto")  # no physics is stepped, so that any engine will do
     if command.policy is not None:
         trained = pick(trained, command.policy)
     card = save(command.file, trained, records.read_rows(command.run / "metrics.jsonl"))

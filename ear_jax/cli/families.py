@@ -5,13 +5,13 @@ from __future__ import annotations
 import inspect
 import json
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import option, parse
 from ear_jax.envs import FAMILIES, make_family
 from ear_jax.envs.registry import offered_families
 from ear_jax.errors import RunError, UsageError
@@ -19,43 +19,43 @@ from ear_jax.errors import RunError, UsageError
 
 @dataclass(frozen=True)
 class FamiliesCommand:
-    """List the families of tasks, or check those that are named."""
+    """List the families of tasks, or check the ones that are named."""
 
-    names: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Families, as `ear train` takes them; by default those of this package and of those installed."""
+    names: tyro.conf.Positional[Annotated[tuple[str, ...], option("[FAMILY ...]", "all that are installed")]] = ()
+    """Families, as for `ear train`."""
     json: bool = False
     """Print one JSON document and nothing else."""
 
 
 def main(words: list[str]) -> None:
     command = parse(FamiliesCommand, words, "families")
-    found, lacking = [], {}
+    families, lacking = [], {}
     for name in command.names or (*FAMILIES, *offered_families()):
         try:
-            found.append(describe(name))
+            families.append(describe(name))
         except (UsageError, RunError) as error:
             if command.names:
                 raise
             lacking[name] = str(error)
     if command.json:
-        print(json.dumps({"families": found, "lacking": lacking}))
+        print(json.dumps({"families": families, "lacking": lacking}))
         return
     table = Table()
     for heading in ("family", "tasks", "obs", "action", "step (s)", "episode"):
         table.add_column(heading, overflow="fold")
-    for family in found:
+    for family in families:
         names = family["tasks"]
         tasks = f"{len(names)}: {names[0]} … {names[-1]}"
         sizes = (str(family[key]) for key in ("observation_size", "action_size", "dt", "episode_length"))
         table.add_row(family["name"], tasks, *sizes)
     Console(highlight=False).print(table)
     for name, reason in lacking.items():
-        print(f"{name} is not to be had here: {reason}")
+        print(f"{name} is not available here: {reason}")
     print("A family of your own: ear train path/to/file.py:ClassName (docs/your-own-family.md)")
 
 
 def describe(name: str) -> dict[str, Any]:
-    """A family's sizes, in environment steps and seconds."""
+    """Returns a family's tasks, units and sizes; `dt` in seconds, `episode_length` in environment steps."""
     family = make_family(name)
     return {
         "name": name,

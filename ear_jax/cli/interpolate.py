@@ -2,92 +2,91 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax.cli.arguments import check_finite, check_least, parse
+from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
+from ear_jax.cli.results import keep, print_result
 from ear_jax.embeddings import ltes
-from ear_jax.embeddings.interpolate import End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
+from ear_jax.embeddings.interpolate import BETAS, End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
-from ear_jax.figures.interpolate import draw_blends
+from ear_jax.figures.interpolate import draw_interpolate
 from ear_jax.process.terminal import phase
-from ear_jax.runs import records
 from ear_jax.runs.trained import Trained
 
 HEADINGS = {"mid_task": "mid", "one_to_one": "1:1", "one_to_one_outcome": "at β = ½"}
+MEASURES = {
+    "mid_task": "mid (a blend at β from 0.1 to 0.9 meets the middle)",
+    "one_to_one": "1:1 (the blend at β = ½ lies between the tasks)",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
 class InterpolateCommand(OnRun):
-    """Do what lies between two trained tasks, or beyond them, with no training: f(β Z₁ + (1 − β) Z₂)."""
+    """Blend the task embeddings (LTEs) of two tasks, to do what lies between or beyond them: f(β Z₁ + (1 − β) Z₂)."""
 
-    between: tuple[str, str] | None = None
-    """Two tasks it was trained on, as in 2 3, or LTEs saved by `ear adapt --save`."""
+    between: Annotated[tuple[str, str] | None, option("A B")] = None
+    """Two training tasks, as in 2 3, or LTEs saved by `ear adapt --save`."""
     all_pairs: bool = False
-    """Every two neighbouring tasks, midway."""
-    target: float | None = None
-    """What to meet between them; midway if not given."""
-    beta: tuple[float, ...] = ()
-    """Instead of meeting a target, say what these β achieve; outside [0, 1] they extrapolate."""
+    """All pairs of neighbouring training tasks."""
+    target: Annotated[float | None, option("X", "midway")] = None
+    """Find the β that comes nearest to this value between the two tasks."""
+    beta: Annotated[tuple[float, ...], option("[β ...]")] = ()
+    """Play these β instead of meeting a target; values outside [0, 1] extrapolate."""
     along: Literal["chord", "arc"] = "chord"
-    """The paper's normalised sum, or the great circle."""
+    """Blend along the chord, the paper's normalised sum, or along the great circle."""
     episodes: int = 3
-    """Episodes a blend."""
+    """Episodes per blend."""
 
 
 def main(words: list[str]) -> None:
     command = parse(InterpolateCommand, words, "interpolate")
     if command.all_pairs == (command.between is not None):
-        raise UsageError("say either --between A B or --all-pairs")
+        raise UsageError("give either --between A B or --all-pairs")
     if command.target is not None and (command.beta or command.all_pairs):
-        raise UsageError("--target goes with --between A B alone")
+        raise UsageError("--target goes only with --between A B, and without --beta")
     check_finite("--beta", *command.beta)
     if command.target is not None:
         check_finite("--target", command.target)
     check_least(command, episodes=1)
     trained = command.load()
-    family = trained.program.family
-    neighbours = adjacent_pairs(trained_ends(trained), family)
-    pairs = [find_pair(trained, *command.between)] if command.between else neighbours
-    with phase("rolling out"):
+    if command.between:
+        pairs = [find_pair(trained, *command.between)]
+    else:
+        pairs = adjacent_pairs(trained_ends(trained), trained.program.family)
+    with phase(f"rolling out {len(command.beta or BETAS)} blends of {len(pairs)} pair{'s' * (len(pairs) != 1)}"):
         if command.beta:
             document = _at_betas(trained, pairs, command)
         else:
-            arguments = (command.target, command.episodes, command.seed, command.along)
-            document = interpolate(trained, pairs, *arguments)
-    records.write_json(trained.directory / "interpolation.json", {**document, **records.provenance()})
-    pictures = draw_blends(trained.directory / "figures", document)
-    if command.json:
-        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
-        return
-    _print(document, family.unit)
-    print("pictures: " + ", ".join(str(path) for path in pictures))
+            document = interpolate(trained, pairs, command.target, command.episodes, command.seed, command.along)
+    pictures = keep(trained.directory, "interpolation.json", document, draw_interpolate)
+    print_result(document, pictures, command.json, _print)
 
 
 def find_pair(trained: Trained, first: str, second: str) -> Pair:
-    """The ends of an interpolation, each commanding something, from what a person calls them.
+    """Returns the ends of an interpolation by the names that a user gives.
 
     Raises:
-      UsageError: something not trained on or saved, that commands nothing, or twice the same.
+      UsageError: a name of neither a training task nor a saved LTE, a task without a target, or the same task twice.
     """
     ends = find_end(trained, first), find_end(trained, second)
     for end in ends:
         if end.target is None:
-            raise UsageError(f"{end.name!r} commands no {trained.program.family.commanded}; see `ear compose`")
+            quantity = trained.program.family.commanded
+            raise UsageError(f"{end.name!r} has no target {quantity} to interpolate; `ear compose` blends such tasks")
     if ends[0].name == ends[1].name:
         raise UsageError(f"--between {first} {second} names one task twice")
     return ends
 
 
 def find_end(trained: Trained, word: str) -> End:
-    """A saved LTE by its name, or a training task."""
+    """Returns a saved LTE or a training task by its name."""
     family, program = trained.program.family, trained.program
     if word in ltes.saved(trained.directory):
         saved = ltes.lookup(trained.directory, word, trained.fingerprint)
@@ -96,24 +95,26 @@ def find_end(trained: Trained, word: str) -> End:
 
 
 def _at_betas(trained: Trained, pairs: list[Pair], command: InterpolateCommand) -> dict[str, Any]:
+    """Plays the given β and returns the document, with `blends` in place of `pairs`."""
     achieved = play_blends(trained, pairs, command.beta, command.episodes, command.seed, command.along)
     return {
         "blends": [
             {
                 "seed": trained.program.config.seed + index,
-                "between": [one.name, other.name],
+                "between": [first.name, second.name],
                 "beta": beta,
                 "outcome": float(value),
             }
             for index, rows in enumerate(achieved)
-            for (one, other), row in zip(pairs, rows, strict=True)
+            for (first, second), row in zip(pairs, rows, strict=True)
             for beta, value in zip(command.beta, row, strict=True)
         ],
         "commanded": trained.program.family.quantity,
     }
 
 
-def _print(document: dict[str, Any], unit: str) -> None:
+def _print(document: dict[str, Any]) -> None:
+    """Prints one row per pair or blend, and the counts of the paper's two measures."""
     table = Table()
     rows = document.get("pairs") or document["blends"]
     columns = [key for key in rows[0] if key not in ("between", "curve")]
@@ -123,10 +124,10 @@ def _print(document: dict[str, Any], unit: str) -> None:
         table.add_row("–".join(row["between"]), *(_show(row[key]) for key in columns))
     console = Console(highlight=False)
     console.print(table)
-    console.print(f"outcomes in {unit}")
-    for what in ("mid_task", "one_to_one"):
-        if what in document:
-            console.print(f"{what.replace('_', ' ')}: {document[what]['success']} of {document[what]['total']}")
+    console.print(f"outcomes in {document['commanded']['unit']}")
+    for measure, meaning in MEASURES.items():
+        if measure in document:
+            console.print(f"{meaning}: {document[measure]['success']} of {document[measure]['total']} pairs")
 
 
 def _show(value: Any) -> str:

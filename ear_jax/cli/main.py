@@ -1,4 +1,4 @@
-"""The `ear` command: picks the subcommand."""
+"""The `ear` command, which imports and runs a subcommand."""
 
 from __future__ import annotations
 
@@ -9,37 +9,35 @@ import sys
 from ear_jax.cli.exits import exit_code
 from ear_jax.errors import unknown
 
-# Each is a function main(arguments) in the module; imported only when it is called.
+# Module and summary of each; the module, imported only when it is called, has a function main(arguments).
 COMMANDS = {
     "train": ("ear_jax.cli.train", "train a policy on a family of tasks, or continue a run"),
-    "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks"),
-    "interpolate": ("ear_jax.cli.interpolate", "do what lies between two trained tasks, or beyond them"),
-    "compose": ("ear_jax.cli.compose", "do two tasks of different kinds at once"),
-    "adapt": ("ear_jax.cli.adapt", "find the codes of tasks never trained on"),
-    "map": ("ear_jax.cli.map", "draw what every place on the sphere of codes does"),
-    "explore": ("ear_jax.cli.explore", "make a page on which you steer the robot by pointing at that sphere"),
-    "lse": ("ear_jax.cli.lse", "compare the state embedding along a gait with the raw state"),
-    "render": ("ear_jax.cli.render", "film a policy, and draw the robot's way as a stop-motion strip"),
-    "export": ("ear_jax.cli.export", "write a run's policy to one file that loads anywhere"),
+    "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks, or under any task embedding (LTE)"),
+    "interpolate": ("ear_jax.cli.interpolate", "blend the LTEs of two tasks, to do what lies between or beyond them"),
+    "compose": ("ear_jax.cli.compose", "blend two tasks of different kinds, to do both at once"),
+    "adapt": ("ear_jax.cli.adapt", "find LTEs for tasks never trained on"),
+    "map": ("ear_jax.cli.map", "draw what the robot does under LTEs all over their sphere"),
+    "explore": ("ear_jax.cli.explore", "make a web page on which you steer the robot by pointing at that sphere"),
+    "lse": ("ear_jax.cli.lse", "compare the state embedding (LSE) along a gait with the raw state"),
+    "render": ("ear_jax.cli.render", "film the robot, and draw it as a stop-motion strip"),
+    "export": ("ear_jax.cli.export", "write a run's policy to one file that loads on any machine"),
     "families": ("ear_jax.cli.families", "list the families of tasks"),
     "pretrained": ("ear_jax.cli.pretrained", "list the trained agents that ship with the package"),
-    "demo": (
-        "ear_jax.cli.demo",
-        "train a small agent here and now and see it run; or see one that ships (--pretrained)",
-    ),
-    "doctor": ("ear_jax.cli.doctor", "say what this installation is and whether it can work"),
+    "demo": ("ear_jax.cli.demo", "train a small agent and see it run, or see a pretrained one (--pretrained)"),
+    "doctor": ("ear_jax.cli.doctor", "check this installation"),
 }
 
 
 def usage() -> str:
-    lines = [f"  {name:<11} {what}" for name, (_, what) in COMMANDS.items()]
+    """Returns the help of `ear` itself."""
+    lines = [f"  {name:<11} {summary}" for name, (_, summary) in COMMANDS.items()]
     return (
-        "usage: ear COMMAND [OPTIONS]\n\ncommands:\n" + "\n".join(lines) + "\n\n`ear COMMAND --help` tells its options."
+        "usage: ear COMMAND [OPTIONS]\n\ncommands:\n" + "\n".join(lines) + "\n\n`ear COMMAND --help` lists its options."
     )
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
+    """Runs one command line and returns its exit code, as `exit_code` does."""
     words = sys.argv[1:] if arguments is None else arguments
     code = exit_code("ear", lambda: _run(*words) if words else print(usage()))
     return code if words else 2
@@ -51,7 +49,7 @@ def _run(name: str, *arguments: str) -> None:
         return
     if name not in COMMANDS:
         raise unknown("command", name, COMMANDS)
-    # JAX's and XLA's log lines are not for a person; a user who wants them sets this.
+    # Hides log lines of JAX and XLA, unless the user sets the variable.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     importlib.import_module(COMMANDS[name][0]).main(list(arguments))
 

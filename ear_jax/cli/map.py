@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
+from typing import Any
 
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnRun
+from ear_jax.cli.results import keep, print_result
 from ear_jax.embeddings.map import check_sphere, describe, survey
 from ear_jax.figures.map import draw_map
 from ear_jax.process.terminal import phase
-from ear_jax.runs import records
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapCommand(OnRun):
-    """Roll out codes spread over the sphere and draw what each makes the robot do."""
+    """Play task embeddings (LTEs) all over their sphere, and draw what the robot achieves under each."""
 
     places: int = 2000
-    """Codes."""
+    """LTEs to play, spread evenly over the sphere."""
     episodes: int = 1
-    """Episodes a code."""
+    """Episodes per LTE."""
 
 
 def main(words: list[str]) -> None:
@@ -30,12 +30,12 @@ def main(words: list[str]) -> None:
     check_sphere(trained, 3)
     with phase(f"rolling out {command.places} LTEs"):
         document = describe(trained, survey(trained, command.places, command.episodes, command.seed))
-    records.write_json(trained.directory / "map.json", {**document, **records.provenance()})
-    pictures = draw_map(trained.directory / "figures", document)
-    if command.json:
-        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
-        return
+    pictures = keep(trained.directory, "map.json", document, draw_map)
+    print_result(document, pictures, command.json, _print)
+
+
+def _print(document: dict[str, Any]) -> None:
     quantity, unit = document["commanded"]["outcome"], document["commanded"]["unit"]
-    for one in document["seeds"]:
-        print(f"seed {one['seed']}: {quantity} {min(one['achieved']):.2f} to {max(one['achieved']):.2f} {unit}")
-    print("pictures: " + ", ".join(str(path) for path in pictures))
+    for entry in document["seeds"]:
+        low, high = min(entry["achieved"]), max(entry["achieved"])
+        print(f"seed {entry['seed']}: {quantity} {low:.2f} to {high:.2f} {unit}")

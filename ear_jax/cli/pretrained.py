@@ -14,7 +14,7 @@ from ear_jax.cli.arguments import parse
 
 @dataclass(frozen=True)
 class PretrainedCommand:
-    """List the trained agents that ship with the package: how they were trained, what they reach and what they miss."""
+    """List the trained agents that ship with the package, with their training, their return and the tasks they meet."""
 
     json: bool = False
     """Print one JSON document and nothing else."""
@@ -31,10 +31,10 @@ def main(words: list[str]) -> None:
         table.add_column(heading, justify="right" if heading in ("return", "tasks met") else "left", overflow="fold")
     for card in cards:
         trained = f"{card['minutes']:.0f} min, {card['updates']:,} updates"
-        judged = [task["met"] for task in card["tasks"] if "met" in task]
-        met = f"{sum(judged)} of {len(judged)}" if judged else "–"
+        outcomes = [task["met"] for task in card["tasks"] if "met" in task]
+        met = f"{sum(outcomes)} of {len(outcomes)}" if outcomes else "–"
         table.add_row(card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", met)
     Console(highlight=False).print(table)
-    print("A task is met where every episode lasts and what it achieves is less than half way to the next task off.")
-    print("One that commands no target is not counted. --json tells of each task, and all else of the cards.")
-    print("`ear demo --pretrained NAME` shows one at work; pretrained:NAME stands wherever a command takes a run.")
+    print("A task is met if no episode ends early and the error is less than half the distance to the next task.")
+    print("Tasks without a target are not counted. --json prints every task, and the rest of each agent's card.")
+    print("`ear demo --pretrained NAME` shows an agent at work; every command that takes a run takes pretrained:NAME.")

@@ -7,16 +7,18 @@ import re
 import textwrap
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
+import tyro
 
 from ear_jax.agents.networks import Params
-from ear_jax.cli.arguments import check_finite, check_least, parse
+from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnPolicy
+from ear_jax.cli.results import print_pictures
 from ear_jax.embeddings import ltes
-from ear_jax.embeddings.interpolate import between
+from ear_jax.embeddings.interpolate import blend_codes
 from ear_jax.embeddings.trajectory import Trajectory, follow
 from ear_jax.envs import Family, find_task
 from ear_jax.errors import RunError, UsageError
@@ -25,34 +27,34 @@ from ear_jax.figures.video import write_gif, write_mp4
 from ear_jax.process.terminal import phase, say
 from ear_jax.rendering.film import arrange, film, photograph
 from ear_jax.runs import records
-from ear_jax.runs.trained import Trained
+from ear_jax.runs.trained import Trained, policy_of
 
 BETAS = (0.75, 0.5, 0.25)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderCommand(OnPolicy):
-    """Show what the policy does under tasks it was trained on, under a code, or between two tasks."""
+    """Draw the robot as a stop-motion strip and film it, under training tasks, a task embedding (LTE) or blends."""
 
-    task: tuple[str, ...] = ()
-    """Tasks it was trained on, as in 2 or 1 2 3."""
-    lte: tuple[str, ...] = ()
-    """An LTE saved by `ear adapt --save`, or its numbers, as in 0.1 0.7 -0.7; they are taken to the sphere."""
-    interpolate: tuple[str, str] | None = None
-    """Two tasks, as in 1 2, and blends of them."""
-    beta: tuple[float, ...] = ()
-    """The blends, 0.75 0.5 0.25 if not given: 1 is the first task, 0 the second; outside [0, 1] they extrapolate."""
+    task: Annotated[tuple[str, ...], option("[TASK ...]")] = ()
+    """Training tasks, as in 2 or 1 2 3."""
+    lte: Annotated[tuple[str, ...], option("NAME|X Y Z")] = ()
+    """An LTE saved by `ear adapt --save`, or its numbers, as in 0.1 0.7 -0.7, which are projected onto the sphere."""
+    interpolate: Annotated[tuple[str, str] | None, option("A B")] = None
+    """Two training tasks, as in 1 2, and blends of them."""
+    beta: Annotated[tuple[float, ...], option("[β ...]", "0.75 0.5 0.25")] = ()
+    """The blends: 1 is the first task, 0 the second; values outside [0, 1] extrapolate."""
     along: Literal["chord", "arc"] = "chord"
-    """The paper's normalised sum, or the great circle."""
-    film: bool = True
-    """GIF and MP4 beside the strip; --no-film leaves them out, which take most of the time."""
+    """Blend along the chord, the paper's normalised sum, or along the great circle."""
+    film: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    """Draw only the strip. The GIF and the MP4 take most of the time."""
     steps: int = 100
-    """Environment steps, as many as in the paper's figure 3."""
+    """Environment steps; the default is that of the paper's figure 3."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One thing to show."""
+    """One roll-out to show."""
 
     name: str
     code: jax.Array  # [code]
@@ -62,16 +64,15 @@ def main(words: list[str]) -> None:
     command = parse(RenderCommand, words, "render")
     _check(command)
     trained = command.load()
-    program = trained.program
-    policy = jax.tree.map(lambda leaf: leaf[command.policy], trained.policies)
-    shots = _scenes(command, trained, policy)
+    program, policy = trained.program, policy_of(trained, command.policy)
+    shots = _shots(command, trained, policy)
     with phase("rolling out"):
         codes = jnp.stack([shot.code for shot in shots])
         trajectories = follow(program, policy, codes, command.steps, jax.random.key(command.seed))
     name = _file_name(command, shots)
     files = _draw(trained.directory, name, program.family, shots, trajectories, command.film)
     if not command.json:
-        print("pictures: " + ", ".join(map(str, files.values())))
+        print_pictures(files.values())
         return
     document = {
         "seed": program.config.seed + command.policy,
@@ -92,17 +93,17 @@ def main(words: list[str]) -> None:
 
 
 def _check(command: RenderCommand) -> None:
-    """Refuses what makes no sense whatever the run."""
+    """Raises UsageError for options that are wrong for any run."""
     if sum(map(bool, (command.task, command.lte, command.interpolate))) != 1:
-        raise UsageError("say one of --task X, --lte x y z and --interpolate A B")
+        raise UsageError("give one of --task X, --lte X Y Z and --interpolate A B")
     if command.beta and not command.interpolate:
-        raise UsageError("--beta goes with --interpolate A B alone")
+        raise UsageError("--beta goes only with --interpolate A B")
     check_least(command, steps=1)
     check_finite("--beta", *command.beta)
 
 
-def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Shot]:
-    """What is asked for, in the order it is shown."""
+def _shots(command: RenderCommand, trained: Trained, policy: Params) -> list[Shot]:
+    """Returns the roll-outs to show, in their order."""
     program, agent, tasks = trained.program, trained.program.agent, trained.program.tasks
     table = agent.codes(policy)
 
@@ -114,14 +115,13 @@ def _scenes(command: RenderCommand, trained: Trained, policy: Params) -> list[Sh
     if command.lte:
         codes = ltes.find(trained.directory, command.lte, program.config.seeds, agent.code_size, trained.fingerprint)
         return [Shot("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
-    one, other = map(row, command.interpolate or ())
-    if one == other:
+    first, second = map(row, command.interpolate or ())
+    if first == second:
         raise UsageError(f"--interpolate {' '.join(command.interpolate or ())} names one task twice")
-
-    way = between(agent, command.along)
     betas = sorted(command.beta or BETAS, reverse=True)
-    blends = [Shot(f"β = {beta:g}", way(table[one], table[other], jnp.float32(beta))) for beta in betas]
-    return [Shot(tasks.names[one], table[one]), *blends, Shot(tasks.names[other], table[other])]
+    blended = blend_codes(agent, table[first], table[second], betas, command.along)
+    blends = [Shot(f"β = {beta:g}", code) for beta, code in zip(betas, blended, strict=True)]
+    return [Shot(tasks.names[first], table[first]), *blends, Shot(tasks.names[second], table[second])]
 
 
 def _file_name(command: RenderCommand, shots: list[Shot]) -> str:
@@ -131,9 +131,9 @@ def _file_name(command: RenderCommand, shots: list[Shot]) -> str:
 
 
 def _draw(
-    run: Path, name: str, family: Family, shots: list[Shot], trajectories: list[Trajectory], filmed: bool
+    run: Path, name: str, family: Family, shots: list[Shot], trajectories: list[Trajectory], with_film: bool
 ) -> dict[str, Path]:
-    """Writes strip and films; without OpenGL only the strip, as sticks, and then raises RunError."""
+    """Writes the strip and the films; without OpenGL it draws the strip as stick figures and raises RunError."""
     figures = records.folder(run / "figures")
     labels = [_label(family, *pair) for pair in zip(shots, trajectories, strict=True)]
     strip = arrange(family.portrait(), trajectories, labels, family.dt)
@@ -141,19 +141,19 @@ def _draw(
     try:
         with phase("drawing the strip"):
             draw_strip(path, photograph(strip), strip.bounds, strip.caption)
-        if not filmed:
+        if not with_film:
             return {"strip": path}
         with phase("filming"):
             pictures, seconds = film(strip.model, trajectories, [shot.name for shot in shots], family.dt)
     except RunError as error:
         draw_strip(path, strip.panels, strip.bounds, strip.caption)
-        raise RunError(f"{error}; without it there is {path}, and no film") from None
+        raise RunError(f"{error}; {path} shows stick figures instead, and there is no film") from None
     videos = records.folder(run / "videos")
     files = {"strip": path, "gif": write_gif(videos / f"{name}.gif", pictures, seconds)}
-    film_mp4 = write_mp4(videos / f"{name}.mp4", pictures, seconds)
-    if film_mp4:
-        return {**files, "mp4": film_mp4}
-    say("no MP4: there is no ffmpeg on the PATH")
+    mp4 = write_mp4(videos / f"{name}.mp4", pictures, seconds)
+    if mp4:
+        return {**files, "mp4": mp4}
+    say("no MP4: ffmpeg is not on the PATH")
     return files
 
 

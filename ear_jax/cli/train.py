@@ -10,7 +10,7 @@ from typing import Annotated
 
 import tyro
 
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import option, parse
 from ear_jax.config import Config, flat
 from ear_jax.envs.registry import FAMILIES, find_family
 from ear_jax.errors import UsageError
@@ -24,13 +24,13 @@ from ear_jax.runs.training import make_program
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Train a policy on a family of tasks. The same command on an unfinished run continues it."""
+    """Train a policy on a family of tasks: ear train FAMILY. The same command continues an unfinished run."""
 
     config: Annotated[tyro.conf.FlagConversionOff[Config], tyro.conf.arg(name="")]
-    out: Path | None = None
-    """The run directory; by default runs/FAMILY-AGENT-PRESET-seedN."""
+    out: Annotated[Path | None, option("DIRECTORY", "runs/FAMILY-AGENT-PRESET-seedN")] = None
+    """The run directory."""
     dry_run: bool = False
-    """Print the configuration, the memory it takes and how fast it is here; train and write nothing."""
+    """Print the settings, the memory they need and their speed on this machine, without training or writing."""
 
 
 def main(words: list[str]) -> None:
@@ -45,7 +45,7 @@ def main(words: list[str]) -> None:
 
 
 def print_estimate(config: Config, directory: Path) -> None:
-    """What `--dry-run` says; refuses what `ear train` would refuse."""
+    """Prints the estimate of `--dry-run`; raises the errors that `ear train` would raise."""
     check_place(directory)
     program = make_program(config)
     check_memory(program)
@@ -55,25 +55,25 @@ def print_estimate(config: Config, directory: Path) -> None:
     needed = memory(program)
     free = "" if needed.available is None else f"; {gigabytes(needed.available)} are free"
     parts = f"replay {gigabytes(needed.replay)}, networks and optimisers {gigabytes(needed.learner)}"
-    print(f"memory: {gigabytes(needed.total)}: {parts}{free}")
+    print(f"memory: {gigabytes(needed.total)} ({parts}){free}")
     taken = times(config)
     blocks = math.ceil(config.epochs / config.log.epochs)
     minutes = (config.epochs * taken.epoch + blocks * taken.evaluation) / 60
     print(
-        f"time here: {taken.compiling:.0f} s to compile, {taken.epoch:.2f} s an epoch, {taken.evaluation:.2f} s an "
-        f"evaluation every {config.log.epochs}; {config.epochs} epochs take {minutes:.0f} minutes"
+        f"time here: {taken.compiling:.0f} s to compile, {taken.epoch:.2f} s per epoch, {taken.evaluation:.2f} s per "
+        f"evaluation every {config.log.epochs} epochs; {config.epochs} epochs take {minutes:.0f} minutes"
     )
 
 
 def read(words: list[str]) -> TrainCommand:
-    """The command line over the preset it names."""
+    """Parses the command line, over the settings of the preset and the agent that it names."""
     family, rest = _family(words)
     base = preset_config(family, _option(rest, "--preset", "fast"), _option(rest, "--agent", "ear"))
     return parse(TrainCommand, [family, *rest], "train", TrainCommand(base))
 
 
 def _option(words: list[str], name: str, default: str) -> str:
-    """What an option is set to, ahead of the parsing of all."""
+    """Returns the last value given to an option, before the whole command line is parsed."""
     value = default
     for word, following in zip_longest(words, words[1:]):
         if word == name and following is not None:
@@ -84,7 +84,7 @@ def _option(words: list[str], name: str, default: str) -> str:
 
 
 def _family(words: list[str]) -> tuple[str, list[str]]:
-    """The family, which comes first, and the rest."""
+    """Splits the words into the family, which comes first, and the rest."""
     if words and words[0] in ("-h", "--help"):
         return next(iter(FAMILIES)), words
     if not words or words[0].startswith("-"):

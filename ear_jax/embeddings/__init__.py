@@ -1,1 +1,1 @@
-"""Task embeddings as an interface to behaviour: blended, searched, mapped, and what each of them does."""
+"""Analyses of a trained policy's task embeddings: evaluation, blending, search and maps."""

@@ -1,4 +1,4 @@
-"""New rows for the code table: between two and beyond them, and spread over the sphere."""
+"""New codes from old ones by blending, and codes spread over the sphere."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ Project = Callable[[jax.Array], jax.Array]
 
 
 def blend(first: jax.Array, second: jax.Array, beta: jax.Array, project: Project) -> jax.Array:
-    """f(β Z₁ + (1 − β) Z₂) (equation 1): at β = 1 the first, at 0 the second, outside [0, 1] beyond them.
+    """Returns f(β Z₁ + (1 − β) Z₂) (equation 1): the first code at β = 1, the second at 0, extrapolation elsewhere.
 
     Args:
       first, second: codes [code].
       beta: a scalar.
-      project: f, which takes the result back to where codes live.
+      project: f, which maps any vector to the nearest code.
     """
     return project(beta * first + (1 - beta) * second)
 
 
 def slerp(first: jax.Array, second: jax.Array, beta: jax.Array) -> jax.Array:
-    """Along the great circle through two unit vectors [code], at constant speed in β; β = 1 is the first.
+    """Follows the great circle through two unit vectors [code] at constant speed in β; β = 1 is the first.
 
-    The circle is spanned by `second` and by what of `first` is perpendicular to it, so that β may lie outside [0, 1]
-    and equal codes give themselves.
+    The circle is spanned by `second` and the component of `first` perpendicular to it. This holds for β outside [0, 1],
+    and for two equal codes, whose blend is that code.
     """
     cosine = jnp.clip(jnp.dot(first, second), -1, 1)
     across = first - cosine * second
@@ -36,7 +36,7 @@ def slerp(first: jax.Array, second: jax.Array, beta: jax.Array) -> jax.Array:
 
 
 def fibonacci_sphere(count: int) -> np.ndarray:
-    """`count` unit vectors [count, 3] spread evenly: turn by the golden angle while going down in equal steps."""
+    """Spreads `count` unit vectors [count, 3] evenly: equal steps in height, turned by the golden angle each."""
     height = 1 - (2 * np.arange(count) + 1) / count
     angle = np.arange(count) * np.pi * (3 - np.sqrt(5))
     radius = np.sqrt(1 - height**2)
@@ -44,7 +44,7 @@ def fibonacci_sphere(count: int) -> np.ndarray:
 
 
 def spread_codes(count: int, size: int) -> np.ndarray:
-    """`count` unit vectors [count, size]: evenly in three dimensions, always the same ones at random in others."""
+    """Spreads `count` unit vectors [count, size]: evenly in three dimensions, at random with a fixed seed in others."""
     if size == 3:
         return fibonacci_sphere(count)
     directions = np.random.default_rng(0).normal(size=(count, size))

@@ -1,4 +1,4 @@
-"""Composition: what a policy does between two tasks of different kinds, and how its feet touch the ground there."""
+"""Composition: blends of two tasks of different kinds, their outcomes and their ground contacts."""
 
 from __future__ import annotations
 
@@ -6,42 +6,39 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from ear_jax.agents.networks import Params
-from ear_jax.embeddings.codes import blend
-from ear_jax.embeddings.interpolate import End
+from ear_jax.embeddings.interpolate import End, blend_codes
 from ear_jax.embeddings.trajectory import Trajectory, follow
-from ear_jax.runs.trained import Trained
+from ear_jax.envs import Family
+from ear_jax.runs.trained import Trained, policy_of
 
 BETAS = tuple(round(0.1 * step, 1) for step in range(10, -1, -1))
-SHOWN = 100  # steps of the contact pattern that are kept, the last
+SHOWN = 100  # last steps of the contact pattern that the document keeps
 
 
 def compose(trained: Trained, first: End, second: End, betas: Sequence[float], steps: int, seed: int) -> dict[str, Any]:
-    """Rolls out every blend of two codes, longer than the episodes of training.
+    """Rolls out blends of two codes, longer than the episodes of training.
 
     Args:
       trained: the run.
-      first, second: at β = 1 and at β = 0 (equation 1).
-      betas: the blends.
-      steps: environment steps of each.
-      seed: of the start, the same for all.
+      first, second: the codes at β = 1 and at β = 0 (equation 1).
+      betas: β of each blend.
+      steps: environment steps per blend.
+      seed: seeds the start, which all blends share.
 
     Returns:
-      What `ear compose --json` prints. Outcomes are means over the second half.
+      The document that `ear compose --json` prints; outcomes are means over the second half of the steps.
     """
     program = trained.program
     seeds = []
     for index in range(program.config.seeds):
-        policy: Params = jax.tree.map(lambda leaf, index=index: leaf[index], trained.policies)
-        one, other = (jnp.asarray(end.codes[index]) for end in (first, second))
-        codes = jnp.stack([blend(one, other, jnp.float32(beta), program.agent.project) for beta in betas])
-        followed = follow(program, policy, codes, steps, jax.random.key(seed))
+        codes = blend_codes(program.agent, first.codes[index], second.codes[index], betas)
+        trajectories = follow(program, policy_of(trained, index), codes, steps, jax.random.key(seed))
         blends = [
-            {"beta": beta, **_describe(trained, trajectory)} for beta, trajectory in zip(betas, followed, strict=True)
+            {"beta": beta, **_describe(program.family, trajectory)}
+            for beta, trajectory in zip(betas, trajectories, strict=True)
         ]
         seeds.append({"seed": program.config.seed + index, "blends": blends})
     family = program.family
@@ -55,8 +52,8 @@ def compose(trained: Trained, first: End, second: End, betas: Sequence[float], s
     }
 
 
-def _describe(trained: Trained, trajectory: Trajectory) -> dict[str, Any]:
-    family, length = trained.program.family, len(trajectory.qpos) - 1
+def _describe(family: Family, trajectory: Trajectory) -> dict[str, Any]:
+    length = len(trajectory.qpos) - 1
     late = {name: float(values[length // 2 :].mean()) for name, values in trajectory.outcomes.items()}
     touching = contacts(family.model, trajectory.qpos[1:], family.feet)
     settled = touching[length // 2 :]
@@ -71,12 +68,12 @@ def _describe(trained: Trained, trajectory: Trajectory) -> dict[str, Any]:
 
 
 def contacts(model: mujoco.MjModel, qpos: np.ndarray, feet: Mapping[str, str]) -> np.ndarray:
-    """Which feet touch anything but the robot, in poses [poses, nq]: bool [poses, feet].
+    """Returns which feet touch the ground, or anything else fixed to the world: bool [poses, feet].
 
     Args:
       model: the robot.
-      qpos: the poses.
-      feet: bodies by what to call them.
+      qpos: poses [poses, nq].
+      feet: body names by foot.
     """
     data = mujoco.MjData(model)
     bodies = [model.body(body).id for body in feet.values()]

@@ -1,7 +1,8 @@
-"""What a policy does under given codes: whole episodes from random starts, without exploration."""
+"""Evaluation: whole episodes from random starts, without exploration."""
 
 from __future__ import annotations
 
+from operator import itemgetter
 from typing import Any
 
 import jax
@@ -17,7 +18,7 @@ from ear_jax.runs.training import Program, evaluation_keys
 
 
 def play_codes(program: Program, policy: Params, codes: jax.Array, key: jax.Array, episodes: int) -> Episodes:
-    """Plays one policy under any codes [rows, code], for their outcomes; their returns are of no task in particular."""
+    """Plays one policy under any codes [rows, code], for the outcomes; the returns belong to no task in particular."""
     tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], len(codes)), program.tasks.params)
     return play(program.family, program.agent, policy, codes, tasks, key, episodes)
 
@@ -27,12 +28,13 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
 
     Args:
       trained: the run.
-      episodes: how many a task.
-      seed: of the starts, all different from those of training.
+      episodes: episodes per task.
+      seed: seeds the starts, which differ from those of training.
 
     Returns:
-      What `ear evaluate --json` prints: per seed and task the return (mean, standard deviation), the mean outcome, how
-      many episodes failed (ended before the time limit), and each episode. A task fails with any of its episodes.
+      The document that `ear evaluate --json` prints: per seed and task the return (mean, standard deviation), the mean
+      outcome, the number of failed episodes (those that end before the time limit), and each episode. A task fails if
+      any of its episodes fails.
     """
     program = trained.program
     config, count = program.config, program.config.seeds
@@ -43,8 +45,7 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
     )
     played = jax.device_get(play_all(trained.policies, keys))
     seeds = [
-        _describe_seed(program, config.seed + index, jax.tree.map(lambda leaf, index=index: leaf[index], played))
-        for index in range(count)
+        _describe_seed(program, config.seed + index, jax.tree.map(itemgetter(index), played)) for index in range(count)
     ]
     failures = [task["failures"] for seed in seeds for task in seed["tasks"]]
     return {
@@ -65,16 +66,16 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
 
 
 def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) -> dict[str, Any]:
-    """What every seed's policy does under a code of its own, whatever task that may serve.
+    """Plays every seed's policy under a given code.
 
     Args:
       trained: the run.
-      codes: [seeds, code].
-      episodes: how many.
-      seed: of the starts.
+      codes: one for each seed, [seeds, code].
+      episodes: episodes per seed.
+      seed: seeds the starts.
 
     Returns:
-      What `ear evaluate --lte --json` prints.
+      The document that `ear evaluate --lte --json` prints.
     """
     program, family = trained.program, trained.program.family
 
@@ -103,9 +104,9 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
 
 
 def _describe_seed(program: Program, seed: int, played: Episodes) -> dict[str, Any]:
-    """One seed's episodes [tasks, episodes] as a document.
+    """Turns one seed's episodes [tasks, episodes] into its part of the document.
 
-    What a task's episodes achieved together comes from their mean outcomes, so that 359° and 1° are 0° and not 180°.
+    A task's achievement is computed from its episodes' mean outcomes, so that 359° and 1° average to 0°, not 180°.
     """
     family = program.family
     tasks = []

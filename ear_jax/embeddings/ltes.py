@@ -1,4 +1,4 @@
-"""LTEs with names: what an adaptation found, kept beside its run for every other command. Imports no JAX."""
+"""Named LTEs: those that `ear adapt --save` keeps in the run's directory for other commands. Imports no JAX."""
 
 from __future__ import annotations
 
@@ -17,23 +17,31 @@ NAME = r"[A-Za-z][\w.-]*"
 
 
 def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]], policy: str) -> None:
-    """Keeps one LTE a seed, found for a task and a policy (its fingerprint), under a name; an older one gives way.
+    """Saves one LTE per seed under a name, replacing any of the same name.
+
+    Args:
+      run: the run's directory.
+      name: the name.
+      task: the task that the LTEs were found for.
+      codes: the LTEs [seeds, code].
+      policy: the fingerprint of the policies that they were found for.
 
     Raises:
-      UsageError: a name that could be mistaken for a number or an option.
+      UsageError: the name could be mistaken for a number or an option.
     """
     check_name(name)
-    found = {"task": task, "policy": policy}
-    records.write_json(run / FILE, {**saved(run), name: {**found, "codes": [list(code) for code in codes]}})
+    entry = {"task": task, "policy": policy, "codes": [list(code) for code in codes]}
+    records.write_json(run / FILE, {**saved(run), name: entry})
 
 
 def check_name(name: str) -> None:
+    """Raises UsageError for a name that could be mistaken for a number or an option."""
     if not re.fullmatch(NAME, name):
-        raise UsageError(f"{name!r} cannot name an LTE; begin with a letter and go on with letters, digits, . - or _")
+        raise UsageError(f"{name!r} cannot name an LTE: begin with a letter, then use letters, digits, '.', '-' or '_'")
 
 
 def saved(run: Path) -> dict[str, Any]:
-    """Every named LTE of a run: the task and the policy it was found for, and its codes [seeds, code].
+    """Reads a run's named LTEs: for each the task and the policy it was found for, and its codes [seeds, code].
 
     Raises:
       RunError: the file cannot be read.
@@ -46,10 +54,10 @@ def saved(run: Path) -> dict[str, Any]:
 
 
 def find(run: Path, words: Sequence[str], seeds: int, size: int, policy: str) -> list[list[float]]:
-    """Codes [seeds, size] from what a person gives: the name of a saved LTE, or the numbers of one for all seeds.
+    """Returns codes [seeds, size] for the words after --lte: the name of a saved LTE, or numbers used for every seed.
 
     Raises:
-      UsageError: no such name, or one of another policy, or numbers that are no direction.
+      UsageError: an unknown name, an LTE of another policy, or numbers that have no direction.
     """
     if len(words) == 1 and re.fullmatch(NAME, words[0]):
         return lookup(run, words[0], policy)["codes"]
@@ -65,17 +73,17 @@ def find(run: Path, words: Sequence[str], seeds: int, size: int, policy: str) ->
 
 
 def lookup(run: Path, name: str, policy: str) -> dict[str, Any]:
-    """A saved LTE: its task and codes [seeds, code].
+    """Returns a saved LTE: its task and its codes [seeds, code].
 
     Raises:
-      UsageError: there is none, or it was found for another policy, as before a run was continued.
+      UsageError: an unknown name, or an LTE of another policy, such as the run's policy before more training.
     """
     known = saved(run)
     if not known:
-        raise UsageError(f"no LTE {name!r}: {run} has none (`ear adapt RUN --target X --save NAME` saves one)")
+        raise UsageError(f"unknown LTE {name!r}: {run} has none (`ear adapt RUN --target X --save NAME` saves one)")
     if name not in known:
         raise unknown("LTE", name, known)
-    if known[name].get("policy", policy) != policy:  # earlier versions did not keep it
-        again = f"`ear adapt RUN --target {known[name]['task']} --save {name}` finds it anew"
-        raise UsageError(f"LTE {name!r} was found for another policy than this one, as before more training; {again}")
+    if known[name].get("policy", policy) != policy:  # files of earlier versions do not name the policy
+        again = f"run `ear adapt RUN --target {known[name]['task']} --save {name}` again"
+        raise UsageError(f"LTE {name!r} was found for another policy, for example before more training; {again}")
     return known[name]

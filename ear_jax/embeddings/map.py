@@ -1,4 +1,4 @@
-"""A map of the sphere of codes: what each place makes the robot do, and so which to take for any target."""
+"""Maps of the LTE sphere: what the robot achieves all over it, and from a map the best LTE for any target."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import achieved
 from ear_jax.runs.trained import Trained, for_each_seed
+from ear_jax.tasks import TaskSet
 
-PLACES = 500  # codes played when only an answer is wanted
-FINE = 20_000  # codes the answer is chosen from, 0.025 radians apart
-MARGIN = 0.05  # of the range that was reached: how far beyond it a target may lie
+PLACES = 500  # codes played if only targets have to be answered
+FINE = 20_000  # codes that an answer is chosen from, 0.025 radians apart
+MARGIN = 0.05  # distance of a target from the nearest achievement, as a share of the range of achievements
 BANDWIDTHS = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3)  # radians
 
 
 @dataclass(frozen=True)
 class LteMap:
-    """What one policy does under codes spread over the sphere."""
+    """The achievements of one policy under codes spread over the sphere."""
 
     codes: np.ndarray  # [places, code]
     achieved: np.ndarray  # [places], in the commanded quantity
@@ -38,12 +39,12 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[LteM
 
     Args:
       trained: the run.
-      places: how many codes.
-      episodes: how many a code.
-      seed: of the starts.
+      places: number of codes.
+      episodes: episodes per code.
+      seed: seeds the starts.
 
     Raises:
-      UsageError: an agent without LTEs, or whose LTEs do not lie on a sphere.
+      UsageError: the agent has no LTEs, or they do not lie on a sphere.
     """
     check_sphere(trained)
     program = trained.program
@@ -61,16 +62,17 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[LteM
 
 
 def check_sphere(trained: Trained, size: int | None = None) -> None:
-    """Raises UsageError unless a run's codes are LTEs that lie on a sphere, in `size` dimensions where that matters."""
+    """Raises UsageError unless a run's codes are LTEs on a sphere, and have `size` numbers if that is given."""
     config, agent = trained.program.config, trained.program.agent
     if agent.embed is None or not agent.on_sphere:
         raise UsageError(f"agent {config.agent} of preset {config.preset} has no sphere of LTEs to map")
     if size not in (None, agent.code_size):
-        raise UsageError(f"this run's codes have {agent.code_size} numbers; only a sphere of {size} can be drawn")
+        raise UsageError(f"this run's LTEs have {agent.code_size} numbers; only those with {size} can be drawn")
 
 
 def describe(trained: Trained, maps: list[LteMap]) -> dict[str, Any]:
-    """What `ear map --json` prints: per seed every place, what was achieved there, and where the training tasks are."""
+    """Returns the document that `ear map --json` prints: per seed the codes played, their achievements and outcomes,
+    and the LTEs of the training tasks."""
     program, family = trained.program, trained.program.family
     table = np.asarray(jax.vmap(program.agent.codes)(trained.policies))
     return {
@@ -81,22 +83,27 @@ def describe(trained: Trained, maps: list[LteMap]) -> dict[str, Any]:
                 "ltes": np.round(lte_map.codes, 5).tolist(),
                 "achieved": np.round(lte_map.achieved, 4).tolist(),
                 "outcomes": {name: np.round(value, 4).tolist() for name, value in lte_map.late.items()},
-                "trained": [
-                    {"name": task.name, "target": task.target, "lte": code.tolist()}
-                    for task, code in zip(program.tasks.tasks, table[index], strict=True)
-                ],
+                "trained": training_ltes(program.tasks, table[index]),
             }
             for index, lte_map in enumerate(maps)
         ],
     }
 
 
-def code_for_target(lte_map: LteMap, family: Family, target: float) -> tuple[np.ndarray, float]:
-    """The code [code] expected to come nearest to a target, and what it is predicted to achieve.
+def training_ltes(tasks: TaskSet, codes: np.ndarray) -> list[dict[str, Any]]:
+    """Lists training tasks with their LTEs [tasks, code], as documents hold them."""
+    return [
+        {"name": task.name, "target": task.target, "lte": code.tolist()}
+        for task, code in zip(tasks.tasks, codes, strict=True)
+    ]
 
-    What a code does is estimated from the surveyed places around it, weighted by a Gaussian of their angle from it. The
-    code chosen is the one whose expected squared miss is least, bias and spread together: among codes that promise the
-    target, one amid others that keep the promise.
+
+def code_for_target(lte_map: LteMap, family: Family, target: float) -> tuple[np.ndarray, float]:
+    """Chooses the code [code] expected to come nearest to a target; also returns its predicted achievement.
+
+    The achievement of a code is estimated from the surveyed codes around it, weighted by a Gaussian of their angle to
+    it. The code with the least expected squared error is chosen. That error includes the spread among its neighbours,
+    so that a code in a uniform region is preferred.
     """
     miss = family.difference(lte_map.achieved, target)  # [places]
     candidates = spread_codes(FINE, lte_map.codes.shape[1])
@@ -112,19 +119,26 @@ def code_for_target(lte_map: LteMap, family: Family, target: float) -> tuple[np.
 
 
 def _bandwidth(lte_map: LteMap, family: Family) -> float:
-    """The width, in radians, by which each place is best foretold from the others."""
-    apart = family.difference(lte_map.achieved[None, :], lte_map.achieved[:, None])  # [places, places]
+    """Returns the width, in radians, that predicts each surveyed code best from the others."""
+    differences = family.difference(lte_map.achieved[None, :], lte_map.achieved[:, None])  # [places, places]
 
     def error(bandwidth: float) -> float:
         weights = _weights(lte_map.codes, lte_map.codes, bandwidth, leave_out=True)
-        return float(np.mean(np.sum(weights * apart, axis=1) ** 2))
+        return float(np.mean(np.sum(weights * differences, axis=1) ** 2))
 
     return min(BANDWIDTHS, key=error)
 
 
-def _weights(codes: np.ndarray, places: np.ndarray, bandwidth: float, leave_out: bool = False) -> np.ndarray:
-    """How much each place tells of each code, [codes, places], rows summing to one; `leave_out`: nothing of itself."""
-    angle = np.arccos(np.clip(codes @ places.T, -1, 1))
+def _weights(codes: np.ndarray, surveyed: np.ndarray, bandwidth: float, leave_out: bool = False) -> np.ndarray:
+    """Returns the weights of surveyed codes in the estimates for other codes, [codes, places]; rows sum to one.
+
+    Args:
+      codes: the codes to estimate for [codes, code].
+      surveyed: the codes that were played [places, code].
+      bandwidth: of the Gaussian, in radians.
+      leave_out: gives each code no weight in its own estimate; both sets are then the same.
+    """
+    angle = np.arccos(np.clip(codes @ surveyed.T, -1, 1))
     nearness = -0.5 * (angle / bandwidth) ** 2
     if leave_out:
         np.fill_diagonal(nearness, -np.inf)
@@ -133,20 +147,16 @@ def _weights(codes: np.ndarray, places: np.ndarray, bandwidth: float, leave_out:
 
 
 def reaches(lte_map: LteMap, family: Family, target: float) -> bool:
-    """Whether a target lies no further from some surveyed code than a small part of the range that they reach."""
+    """True if some surveyed code comes within `MARGIN` of the target, as a share of the range of achievements."""
     nearest = float(np.abs(family.difference(lte_map.achieved, target)).min())
     return nearest <= MARGIN * float(np.ptp(lte_map.achieved))
 
 
 def check_reach(maps: list[LteMap], family: Family, target: float) -> None:
-    """Refuses a target that one of the policies does not reach.
-
-    Raises:
-      UsageError: with the range that was reached.
-    """
+    """Raises UsageError, with the range of achievements, for a target that one of the policies does not reach."""
     for lte_map in maps:
         if not reaches(lte_map, family, target):
             low, high = float(lte_map.achieved.min()), float(lte_map.achieved.max())
             raise UsageError(
-                f"no code of this run comes near {target:g} {family.unit}; they reach {low:.2f} to {high:.2f}"
+                f"no LTE of this run comes near {target:g} {family.unit}; they reach {low:.2f} to {high:.2f}"
             )

@@ -1,4 +1,4 @@
-"""Ways to a code for a task never trained on: the cross-entropy method, inference, gradient steps."""
+"""Codes for tasks never trained on, by the cross-entropy method, by inference (PEARL) or by gradient steps (MAML)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from ear_jax.embeddings import cem
 from ear_jax.envs.batched_env import BatchedEnv, Transition
 from ear_jax.learning.episodes import achieved, play
 from ear_jax.learning.maml import MamlLearner
-from ear_jax.learning.rollout import act_with, rollout
+from ear_jax.learning.rollout import act_with, first_episode, rollout, score
 from ear_jax.runs.training import Program
 from ear_jax.tasks import TaskParams
 
 
 @dataclass(frozen=True)
 class Search:
-    """How the cross-entropy method searches; the defaults are the authors' code's."""
+    """Settings of the cross-entropy method; the defaults are those of the authors' code."""
 
     epochs: int = 10
     elites: int = 6
@@ -31,24 +31,24 @@ class Search:
 
     @property
     def candidates(self) -> int:
-        """Episodes a task and epoch."""
+        """Candidates per task and epoch, each played for one episode."""
         return self.elites * (1 + self.samples)
 
 
 @struct.dataclass
 class Progress:
-    """One seed's search, each leaf [epochs, tasks, …]."""
+    """The course of one seed's search, each leaf [epochs, tasks, …]."""
 
-    best_of_epoch: jax.Array  # the best of the candidates' returns, one noisy episode each: the paper's curve
-    reevaluated: jax.Array  # the return of that candidate on fresh episodes, without exploration
-    achieved: jax.Array  # the commanded quantity in them
+    best_of_epoch: jax.Array  # best return among the candidates, from one noisy episode each: the paper's curve
+    reevaluated: jax.Array  # mean return of that candidate in fresh episodes, without exploration
+    achieved: jax.Array  # commanded quantity in those episodes
     code: jax.Array  # that candidate
 
 
 def reevaluate(
     program: Program, policy: Params, codes: jax.Array, tasks: TaskParams, key: jax.Array, episodes: int
 ) -> tuple[jax.Array, jax.Array]:
-    """Mean return and commanded quantity of codes [rows, code] on fresh episodes of their tasks, each [rows]."""
+    """Returns the mean return and the commanded quantity, each [rows], of codes [rows, code] in fresh episodes."""
     played = play(program.family, program.agent, policy, codes, tasks, key, episodes)
     return played.returns.mean(axis=-1), achieved(program.family, played)
 
@@ -56,7 +56,7 @@ def reevaluate(
 def find_codes(
     program: Program, policy: Params, tasks: TaskParams, key: jax.Array, search: Search, episodes: int
 ) -> Progress:
-    """Finds a code for each task in the agent's own way; arguments as of `search_codes`."""
+    """Finds a code for each task by the agent's own means; arguments as in `search_codes`."""
     if program.agent.tuned:
         return tune_codes(program, policy, tasks, key, search.epochs, episodes)
     if program.agent.infer:
@@ -65,7 +65,7 @@ def find_codes(
 
 
 def episodes_an_epoch(program: Program, search: Search) -> int:
-    """What one epoch plays a task: all candidates, or as much as a code is found from."""
+    """Returns the episodes that one epoch of `find_codes` plays per task, re-evaluations aside."""
     if program.agent.tuned:
         return program.config.collect.envs
     return 1 if program.agent.infer else search.candidates
@@ -74,19 +74,19 @@ def episodes_an_epoch(program: Program, search: Search) -> int:
 def search_codes(
     program: Program, policy: Params, tasks: TaskParams, key: jax.Array, search: Search, episodes: int
 ) -> Progress:
-    """Searches a code for each task, all tasks and candidates in one roll-out an epoch.
+    """Searches by the cross-entropy method for a code for each task, with one roll-out per epoch for all candidates.
 
     Args:
       program, policy: one seed's trained policy.
       tasks: each leaf [tasks].
       key: seeds everything.
-      search: how.
-      episodes: fresh episodes by which an epoch's best is judged again.
+      search: the settings.
+      episodes: fresh episodes in which the best candidate of each epoch is evaluated again.
     """
     family, agent = program.family, program.agent
     count = len(jax.tree.leaves(tasks)[0])
     key_init, key_epochs = jax.random.split(key)
-    begin = partial(cem.init, elites=search.elites, code_size=agent.code_size, project=agent.project)
+    init = partial(cem.init, elites=search.elites, code_size=agent.code_size, project=agent.project)
     ask = partial(cem.ask, samples=search.samples, sigma=search.sigma, project=agent.project)
     per_candidate = jax.tree.map(lambda leaf: jnp.repeat(leaf, search.candidates), tasks)
 
@@ -101,56 +101,58 @@ def search_codes(
         again, reached = reevaluate(program, policy, best, tasks, key_again, episodes)
         return state, Progress(returns.max(axis=1), again, reached, best)
 
-    state = jax.vmap(begin)(jax.random.split(key_init, count))
+    state = jax.vmap(init)(jax.random.split(key_init, count))
     return jax.lax.scan(epoch, state, jax.random.split(key_epochs, search.epochs))[1]
 
 
 def infer_codes(
     program: Program, policy: Params, tasks: TaskParams, key: jax.Array, trials: int, episodes: int
 ) -> Progress:
-    """Infers a code for each task from episodes of it, as PEARL does: each is played under a code drawn from what those
-    before it tell, the first under one from the prior.
+    """Infers a code for each task from episodes of it, as PEARL does.
+
+    The first episode is played under a code drawn from the prior, each later one under a code drawn from the posterior
+    given the episodes before it.
 
     Args:
       program, policy: one seed's trained policy, of an agent that infers codes.
       tasks: each leaf [tasks].
       key: seeds everything.
-      trials: how many episodes.
-      episodes: fresh episodes by which the mean of the belief after each is judged.
+      trials: number of episodes.
+      episodes: fresh episodes in which the posterior mean after each trial is evaluated.
 
     Returns:
-      What came of each trial, in place of an epoch; the best of its one candidate is that.
+      One entry per trial in place of an epoch. The trial is its only candidate, and `code` the posterior mean after it.
     """
     family, agent = program.family, program.agent
     assert agent.infer
     infer, scale = jax.vmap(agent.infer, in_axes=(None, 0)), program.config.sac.reward_scale
     count, steps = len(jax.tree.leaves(tasks)[0]), family.episode_length
-    score = jax.vmap(jax.vmap(family.reward, in_axes=(0, None)))
+    env = BatchedEnv(family)
 
     def record(step: Transition) -> tuple[jax.Array, ...]:
-        seen = (step.obs, step.action, step.outcome, step.terminated | ~step.valid)
-        return jax.tree.map(lambda leaf: leaf[:, 0], seen)  # [tasks, …]
+        kept = (step.obs, step.action, step.outcome, step.terminated | ~step.valid)
+        return jax.tree.map(lambda leaf: leaf[:, 0], kept)  # [tasks, …]
 
-    def trial(known: Context, given: tuple[jax.Array, jax.Array]) -> tuple[Context, Progress]:
-        index, key = given
+    def trial(context: Context, index_and_key: tuple[jax.Array, jax.Array]) -> tuple[Context, Progress]:
+        index, key = index_and_key
         key_code, key_start, key_noise, key_again = jax.random.split(key, 4)
-        codes = infer(policy, known).sample(jax.random.normal(key_code, (count, agent.code_size)))
+        codes = infer(policy, context).sample(jax.random.normal(key_code, (count, agent.code_size)))
         noise = jax.random.normal(key_noise, (steps, count, 1, family.action_size))
         act = act_with(agent, policy, codes)
-        _, played = rollout(BatchedEnv(family), act, BatchedEnv(family).start(key_start, tasks, 1), noise, record)
+        _, played = rollout(env, act, env.start(key_start, tasks, 1), noise, record)
         obs, action, outcome, over = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), played)  # [tasks, steps, …]
-        playing = jnp.cumsum(over, axis=1) - over == 0
-        reward = score(outcome, tasks)
+        playing = first_episode(over, axis=1)
+        reward = score(family, outcome, tasks)
         new = Context(obs, action, scale * reward, playing)
-        known = jax.tree.map(lambda all, one: jax.lax.dynamic_update_slice_in_dim(all, one, index, 1), known, new)
-        mean = infer(policy, known).mean
+        context = jax.tree.map(lambda all, part: jax.lax.dynamic_update_slice_in_dim(all, part, index, 1), context, new)
+        mean = infer(policy, context).mean
         again, reached = reevaluate(program, policy, mean, tasks, key_again, episodes)
-        return known, Progress(jnp.sum(jnp.where(playing, reward, 0.0), axis=1), again, reached, mean)
+        return context, Progress(jnp.sum(jnp.where(playing, reward, 0.0), axis=1), again, reached, mean)
 
     size = (count, trials * steps)
     obs, action = jnp.zeros((*size, family.observation_size)), jnp.zeros((*size, family.action_size))
-    nothing = Context(obs, action, jnp.zeros(size), jnp.zeros(size, bool))
-    return jax.lax.scan(trial, nothing, (steps * jnp.arange(trials), jax.random.split(key, trials)))[1]
+    empty = Context(obs, action, jnp.zeros(size), jnp.zeros(size, bool))
+    return jax.lax.scan(trial, empty, (steps * jnp.arange(trials), jax.random.split(key, trials)))[1]
 
 
 def tune_codes(
@@ -162,11 +164,12 @@ def tune_codes(
       program, policy: one seed's trained policy, of an agent whose codes are tuned.
       tasks: each leaf [tasks].
       key: seeds everything.
-      steps: how many, each on episodes under what the one before led to.
-      episodes: fresh episodes by which the code after each is judged.
+      steps: number of gradient steps, each on episodes under the code of the step before.
+      episodes: fresh episodes in which the code after each step is evaluated.
 
     Returns:
-      What came of each step, in place of an epoch; the best of its one candidate is the mean of the episodes before it.
+      One entry per step in place of an epoch. `best_of_epoch` is the mean return of the episodes that the step learns
+      from, and `code` the code after it.
     """
     learner = program.learner
     assert isinstance(learner, MamlLearner)

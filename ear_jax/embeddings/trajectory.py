@@ -1,4 +1,4 @@
-"""Where the robot went under given codes, pose by pose: what films and strips are made of."""
+"""Trajectories of the robot under given codes, pose by pose, for films, strips and contacts."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from ear_jax.runs.training import Program
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One roll-out from its start to its end, or to where the robot failed."""
+    """One roll-out, up to its last step or to the robot's failure."""
 
     qpos: np.ndarray  # [steps + 1, nq], one environment step apart
     fell: bool
     outcomes: dict[str, np.ndarray]  # [steps]
-    achieved: float  # the commanded quantity, as an evaluation measures it
+    achieved: float  # the commanded quantity, measured as in an evaluation
 
 
-class Film(BatchedEnv):
-    """A grid whose outcomes also say where the robot stood before the step, and which knows no time limit."""
+class PoseEnv(BatchedEnv):
+    """A batch of environments without a time limit, whose outcomes include the pose before the step as `qpos`."""
 
     def step(self, env_states: EnvState, action: jax.Array) -> tuple[EnvState, Transition]:
+        """Steps the batch; `action` is [rows, envs, act]."""
         env_states = replace(env_states, steps=jnp.zeros_like(env_states.steps))
         after, transition = super().step(env_states, action)
         qpos = env_states.state.pipeline_state.qpos
@@ -41,22 +42,22 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
     Args:
       program, policy: one seed's trained policy.
       codes: [rows, code].
-      steps: how many; the family's time limit does not count.
+      steps: environment steps; the family's time limit does not apply.
       key: seeds the start.
     """
-    family, film = program.family, Film(program.family)
-    # The last step is taken only for the pose before it. What it is scored for plays no part: any task will do.
+    family, env = program.family, PoseEnv(program.family)
+    # One more step, for the pose before it. Rewards are not used, so that any task will do.
     shape = (steps + 1, len(codes), 1, family.action_size)
     task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
 
     def play(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
-        env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), film.start(key, task, 1))
+        env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), env.start(key, task, 1))
         act = act_with(program.agent, policy, codes)
-        return rollout(film, act, env_states, jnp.zeros(shape), _outcome_and_over)[1]
+        return rollout(env, act, env_states, jnp.zeros(shape), _outcome_and_over)[1]
 
-    seen, over = jax.device_get(jax.jit(play, compiler_options=compiler_options())(policy, codes, key))
+    outcomes, over = jax.device_get(jax.jit(play, compiler_options=compiler_options())(policy, codes, key))
     return [
-        _until_over(program, {name: value[:, row, 0] for name, value in seen.items()}, over[:, row, 0])
+        _until_over(program, {name: value[:, row, 0] for name, value in outcomes.items()}, over[:, row, 0])
         for row in range(len(codes))
     ]
 
@@ -65,13 +66,13 @@ def _outcome_and_over(step: Transition) -> tuple[dict[str, jax.Array], jax.Array
     return step.outcome, step.terminated | ~step.valid
 
 
-def _until_over(program: Program, seen: dict[str, np.ndarray], over: np.ndarray) -> Trajectory:
-    """A trajectory from a row's poses and outcomes; `over` [steps + 1] is where an episode ended."""
+def _until_over(program: Program, outcomes: dict[str, np.ndarray], over: np.ndarray) -> Trajectory:
+    """Cuts a row's poses and outcomes at its first failure; `over` [steps + 1] marks the steps that end an episode."""
     fell = bool(over[:-1].any())
     last = int(over.argmax()) if fell else len(over) - 1
-    qpos = seen.pop("qpos")[: last + 1]
-    outcomes = {name: values[: max(last, 1)] for name, values in seen.items()}
-    # Averaged as an evaluation does: over the second half, and over all of it.
+    qpos = outcomes["qpos"][: last + 1]
+    outcomes = {name: values[: max(last, 1)] for name, values in outcomes.items() if name != "qpos"}
+    # The means of an evaluation: over the second half of the episode, and over all of it.
     late = {name: values[len(values) // 2 :].mean() for name, values in outcomes.items()}
     whole = {name: values.mean() for name, values in outcomes.items()}
     return Trajectory(qpos, fell, outcomes, float(program.family.achieved(late, whole)))

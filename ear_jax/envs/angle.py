@@ -14,16 +14,16 @@ from ear_jax.tasks import Task, TaskSet, task_set
 
 
 class AngleFamily(Family):
-    """Tasks all the way round, evenly spaced."""
+    """A family whose training tasks are evenly spaced angles around the circle."""
 
     unit, period = "degrees", 360.0
-    prefix: ClassVar[str]  # of a task's name, before its angle
+    prefix: ClassVar[str]  # of a task's name; its angle follows
     spacing: ClassVar[int]  # degrees between training tasks
-    unseen: ClassVar[int]  # how many adaptation tasks
+    unseen: ClassVar[int]  # number of adaptation tasks
 
     @abc.abstractmethod
     def at(self, angle: float) -> Task:
-        """The task of an angle in [0, 360)."""
+        """Returns the task of an angle in [0, 360) degrees."""
 
     def training_tasks(self) -> TaskSet:
         return task_set([self.at(angle) for angle in range(0, 360, self.spacing)])
@@ -31,15 +31,15 @@ class AngleFamily(Family):
     def adaptation_tasks(self, seed: int) -> TaskSet:
         rng = np.random.default_rng(seed)
         angles = rng.choice(360, size=self.unseen, replace=False)
-        while (angles % self.spacing == 0).any():  # none that it was trained on
+        while (angles % self.spacing == 0).any():  # no training task among them
             angles = rng.choice(360, size=self.unseen, replace=False)
         return task_set([self.at(int(angle)) for angle in angles])
 
     def parse_task(self, text: str) -> Task:
-        """A task from `45`, `45deg` or its name; any angle, by the whole turn."""
-        word = text.strip().lower().removeprefix(self.prefix)
+        """Returns a task from `45`, `45deg` or its name; angles wrap at 360."""
+        number = text.strip().lower().removeprefix(self.prefix)
         try:
-            angle = float(word.removesuffix("degrees").removesuffix("deg").removesuffix("°").strip())
+            angle = float(number.removesuffix("degrees").removesuffix("deg").removesuffix("°").strip())
         except ValueError:
             angle = math.nan
         if not math.isfinite(angle):

@@ -1,4 +1,4 @@
-"""The [task, env] batch: many environments of one family, a time limit and true random resets on top of each."""
+"""The [task, env] batch: many environments of one family, each with a time limit and random resets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ear_jax.tasks import TaskParams
 
 @struct.dataclass
 class EnvState:
-    """One environment with its clock."""
+    """One environment and its episode clock."""
 
     state: State
     steps: jax.Array  # int32, steps since the episode began
@@ -25,15 +25,15 @@ class EnvState:
 
 @struct.dataclass
 class Transition:
-    """One environment step. A time limit is no termination, and `next_obs` is always the state really reached."""
+    """One environment step; `next_obs` is the state reached, even if the environment was reset afterwards."""
 
     obs: jax.Array  # [obs]
     action: jax.Array  # [act]
     next_obs: jax.Array  # [obs]
     outcome: Outcome  # scalars by name
-    terminated: jax.Array  # bool: the robot failed, and no value follows
-    truncated: jax.Array  # bool: only the time ran out
-    valid: jax.Array  # bool: all of this is sound; otherwise nothing of this step may be learnt from
+    terminated: jax.Array  # bool: the robot failed, so the next state has no value
+    truncated: jax.Array  # bool: only the time limit was reached, which is not a termination
+    valid: jax.Array  # bool: all numbers are finite; otherwise the step must not be learnt from
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,16 @@ class BatchedEnv:
     family: Family
 
     def start(self, key: jax.Array, tasks: TaskParams, envs: int, stagger: bool = False) -> EnvState:
-        """Random starts.
+        """Resets all environments to random starts.
 
         Args:
-          key: one key.
-          tasks: leaves [rows].
-          envs: environments in a row.
-          stagger: starts the clocks anywhere within an episode, so that the batch does not end all at once.
+          key: a random key.
+          tasks: each leaf [rows].
+          envs: environments per row.
+          stagger: start the clocks at random within an episode, so that episodes do not all end together.
 
         Returns:
-          Cells with leading axes [rows, envs].
+          The environments, each leaf [rows, envs, …].
         """
         rows = len(jax.tree.leaves(tasks)[0])
         key_state, key_clock = jax.random.split(key)
@@ -76,14 +76,14 @@ class BatchedEnv:
         transition = Transition(env_state.state.obs, action, after.obs, after.metrics, terminated, truncated, valid)
         key_start, key_later = jax.random.split(env_state.state.info["key"])
         fresh = self.family.start(key_start, env_state.state.info["task"])
-        going = after.replace(info={**after.info, "key": key_later})
-        over = terminated | truncated | ~valid
+        continued = after.replace(info={**after.info, "key": key_later})
+        reset = terminated | truncated | ~valid
         env_state = jax.tree.map(
-            lambda new, old: jnp.where(over, new, old), EnvState(fresh, jnp.int32(0)), EnvState(going, steps)
+            lambda new, old: jnp.where(reset, new, old), EnvState(fresh, jnp.int32(0)), EnvState(continued, steps)
         )
         return env_state, transition
 
 
 def is_finite(numbers: Any) -> jax.Array:
-    """Whether all numbers of a pytree are finite and below 1e10, past which MuJoCo too calls a state bad; a bool."""
+    """Returns whether all numbers of a pytree are finite and below 1e10, MuJoCo's own limit; a scalar bool."""
     return jnp.all(jnp.array([jnp.all(jnp.abs(leaf) < mujoco.mjMAXVAL) for leaf in jax.tree.leaves(numbers)]))

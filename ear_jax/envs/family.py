@@ -1,4 +1,4 @@
-"""What a family of tasks is: one robot, one physics, and many ways to score what it did."""
+"""The base class of task families: one robot and its physics, with a reward per task."""
 
 from __future__ import annotations
 
@@ -23,125 +23,125 @@ Outcome = dict[str, jax.Array]
 class Family(Env):
     """A Brax environment of one robot whose tasks share physics and differ in reward.
 
-    Everything is written for one environment. A step's physics yields an `outcome`, a few named scalars, and a task is
-    a pytree of numbers by which `reward` scores it: one roll-out can so be scored for any task. A subclass states the
-    model and the methods marked abstract, and never branches on a task.
+    All methods are written for one environment. A step yields an `outcome`, a few named scalars. A task is a pytree of
+    numbers that `reward` reads to score an outcome, so one roll-out can be scored for any task. A subclass defines the
+    model and the abstract methods, and never branches on a task.
 
-    As a Brax environment: `State.pipeline_state` is a `Physics`, `State.metrics` the outcome, `State.info["task"]` the
-    task's numbers and `State.info["key"]` the stream its later resets are drawn from. `reset` starts `task`, by default
-    the first training task.
+    As a Brax environment, `State.pipeline_state` is a `Physics`, `State.metrics` the outcome, `State.info["task"]` the
+    task's numbers and `State.info["key"]` the random key of later resets. `reset` starts `task`, by default the first
+    training task.
     """
 
     name: ClassVar[str]
-    model_file: ClassVar[str]  # a model of Gymnasium's
+    model_file: ClassVar[str]  # one of Gymnasium's models
     substeps: ClassVar[int]  # MuJoCo steps in one environment step
-    mjx_solver: ClassVar[tuple[int, int]]  # solver and line-search iterations of MJX, measured
+    mjx_solver: ClassVar[tuple[int, int]]  # limits on MJX's solver and line-search iterations, measured
     bodies: tuple[str, ...] = ()  # bodies whose positions `outcome` reads
-    feet: ClassVar[dict[str, str]] = {}  # bodies that touch the ground, by what to call them
-    commanded: ClassVar[str]  # the outcome that a task's target commands
-    unit: ClassVar[str]  # of the target and of that outcome
-    period: ClassVar[float | None] = None  # where that quantity wraps, as directions do at 360
-    episode_length: ClassVar[int] = 200  # steps; a time limit, which is no termination
+    feet: ClassVar[dict[str, str]] = {}  # display name → body that touches the ground
+    commanded: ClassVar[str]  # name of the outcome that a task's target is for
+    unit: ClassVar[str]  # of the target and of the commanded outcome
+    period: ClassVar[float | None] = None  # value at which the commanded outcome wraps, such as 360 degrees
+    episode_length: ClassVar[int] = 200  # steps; the time limit is not a termination
 
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # preset → settings it changes for this family
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # preset → settings changed for this family
 
-    history: int = 1  # observations shown at once; at a start, the first in place of those before it
+    history: int = 1  # observations the agent sees at once; at a start all are the first observation
 
-    options: ClassVar[tuple[str, ...]] = ()  # attributes that may be set when it is made
+    options: ClassVar[tuple[str, ...]] = ()  # attributes that the constructor may set
 
     def __init__(self, engine: str = "auto", task: Task | None = None, **options: Any):
         for option, value in options.items():
             setattr(self, option, value)
         self.model = self.load()
         if not isinstance(self.model, mujoco.MjModel):
-            raise UsageError(f"load() must return a mujoco.MjModel, and returns {type(self.model).__name__}")
+            raise UsageError(f"load() must return a mujoco.MjModel, not a {type(self.model).__name__}")
         self.engine = make_engine(engine, self.model, self.substeps, self.bodies, self.mjx_solver)
         self.task = task
         self.dt = float(self.model.opt.timestep) * self.substeps  # seconds in one environment step
 
-    # What a family says.
+    # Defined by a family.
 
     def load(self) -> mujoco.MjModel:
-        """The robot; by default one of Gymnasium's."""
+        """Returns the model; by default Gymnasium's `model_file`."""
         return load_model(self.model_file)
 
     @property
     def symmetry(self) -> Symmetry | None:
-        """How a step may be turned or mirrored; by default in no way."""
+        """The robot's rotations and mirror images; None by default."""
         return None
 
     def portrait(self) -> mujoco.MjModel:
-        """What pictures show, of the same qpos; by default the model."""
+        """Returns the model that pictures show, with the same qpos; by default the model itself."""
         return self.model
 
     @abc.abstractmethod
     def training_tasks(self) -> TaskSet:
-        """The paper's training tasks, in the order of their one-hot codes."""
+        """Returns the paper's training tasks, in the order of their one-hots."""
 
     def adaptation_tasks(self, seed: int) -> TaskSet:
-        """Tasks not trained on, drawn from a seed; none by default."""
+        """Returns tasks not trained on, drawn from a seed; none by default."""
         return TaskSet(())
 
     @abc.abstractmethod
     def parse_task(self, text: str) -> Task:
-        """A task from the words a person uses for it; raises UsageError where there is none."""
+        """Returns the task that a user's text names; raises UsageError if there is none."""
 
     @abc.abstractmethod
     def initial(self, key: jax.Array) -> Physics:
-        """A random start."""
+        """Draws a random initial state."""
 
     def actuate(self, physics: Physics, action: jax.Array) -> tuple[Physics, jax.Array]:
-        """The state to step from, and the control [nu] held meanwhile; by default the action is the control."""
+        """Returns the state to step from and the control [nu] held for the step; by default the action."""
         return physics, action
 
     @abc.abstractmethod
     def observe(self, physics: Physics) -> jax.Array:
-        """What the policy sees of a state, [size]."""
+        """Returns the observation of a state, [size]."""
 
     @abc.abstractmethod
     def outcome(self, motion: Motion) -> Outcome:
-        """What the step achieved, as named scalars: all that any task of the family may be scored by."""
+        """Returns a step's outcome, the named scalars from which any task of the family is scored."""
 
     @abc.abstractmethod
     def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
-        """Scores an outcome for one task; a scalar."""
+        """Returns an outcome's reward for one task, a scalar."""
 
     def terminated(self, physics: Physics) -> jax.Array:
-        """Whether the robot has failed; a scalar bool. By default it cannot."""
+        """Returns whether the robot has failed, a scalar bool; by default it never does."""
         return jnp.zeros((), bool)
 
     def achieved(self, late: Outcome, whole: Outcome) -> jax.Array:
-        """The commanded quantity, from an episode's outcomes averaged over its second half, and over all of it."""
+        """Returns the commanded quantity, from outcomes averaged over an episode's second half and over all of it."""
         return late[self.commanded]
 
     def difference(self, one: Any, other: Any) -> Any:
-        """`one` − `other` in the commanded quantity; where that wraps, the shorter way round."""
+        """Returns `one` − `other` in the commanded quantity, within ± half a period if it wraps."""
         if self.period is None:
             return one - other
         return (one - other + self.period / 2) % self.period - self.period / 2
 
-    # What follows from it.
+    # Derived from those definitions.
 
     @property
     def quantity(self) -> dict[str, str]:
-        """The commanded quantity and its unit, as documents name them."""
+        """The commanded quantity and its unit, for JSON documents."""
         return {"outcome": self.commanded, "unit": self.unit}
 
     def noisy_start(self, key: jax.Array, position: float, speed: Callable[..., jax.Array]) -> Physics:
-        """The model's own pose, each coordinate moved by U(±position), with speeds drawn by `speed(key, shape)`."""
+        """Draws a start: the model's default pose plus U(±position) per coordinate, speeds by `speed(key, shape)`."""
         key_qpos, key_qvel = jax.random.split(key)
-        qpos = jax.random.uniform(key_qpos, (self.model.nq,), minval=-position, maxval=position)
+        noise = jax.random.uniform(key_qpos, (self.model.nq,), minval=-position, maxval=position)
         qpos0 = jnp.asarray(self.model.qpos0, jnp.float32)
-        return Physics(qpos0 + qpos, speed(key_qvel, (self.model.nv,)), jnp.zeros(self.model.nv))
+        return Physics(qpos0 + noise, speed(key_qvel, (self.model.nv,)), jnp.zeros(self.model.nv))
 
     def start(self, key: jax.Array, task: TaskParams) -> State:
-        """A random start of one task."""
+        """Starts an episode of one task at a random state."""
         key_initial, key_later = jax.random.split(key)
         physics = self.initial(key_initial)
-        blank = jax.eval_shape(self.outcome, Motion(physics, *self._still()))
-        outcome = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank)
+        shapes = jax.eval_shape(self.outcome, Motion(physics, *self._no_motion()))
+        outcome = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         info: dict[str, Any] = {"task": task, "key": key_later}
-        return State(physics, self._first_seen(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
+        return State(physics, self._first_obs(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
 
     def reset(self, rng: jax.Array) -> State:
         task = self.task or self.training_tasks().tasks[0]
@@ -149,10 +149,10 @@ class Family(Env):
 
     def step(self, state: State, action: jax.Array) -> State:
         motion = self.engine.step(*self.actuate(state.pipeline_state, action))
-        outcome, seen = self.outcome(motion), self.observe(motion.after)
+        outcome, obs = self.outcome(motion), self.observe(motion.after)
         return state.replace(
             pipeline_state=motion.after,
-            obs=jnp.concatenate([state.obs[len(seen) :], seen]),
+            obs=jnp.concatenate([state.obs[len(obs) :], obs]),
             reward=self.reward(outcome, state.info["task"]),
             done=jnp.asarray(self.terminated(motion.after), jnp.float32),
             metrics={**state.metrics, **outcome},
@@ -161,8 +161,8 @@ class Family(Env):
 
     @property
     def observation_size(self) -> int:
-        """Numbers in what an agent is given: `history` observations, the oldest first."""
-        return jax.eval_shape(lambda key: self._first_seen(self.initial(key)), jax.random.key(0)).shape[0]
+        """Size of the agent's input: `history` observations, the oldest first."""
+        return jax.eval_shape(lambda key: self._first_obs(self.initial(key)), jax.random.key(0)).shape[0]
 
     @property
     def action_size(self) -> int:
@@ -172,19 +172,19 @@ class Family(Env):
     def backend(self) -> str:
         return self.engine.name
 
-    def _first_seen(self, physics: Physics) -> jax.Array:
+    def _first_obs(self, physics: Physics) -> jax.Array:
         return jnp.tile(self.observe(physics), self.history)
 
-    def _still(self) -> tuple[jax.Array, Physics, jax.Array]:
-        """The rest of a motion, for shapes only."""
+    def _no_motion(self) -> tuple[jax.Array, Physics, jax.Array]:
+        """Returns the fields of a `Motion` after `before`, as zeros, to evaluate shapes only."""
         qpos, speed = jnp.zeros(self.model.nq), jnp.zeros(self.model.nv)
         return jnp.zeros(self.model.nu), Physics(qpos, speed, speed), jnp.zeros((len(self.bodies), 3))
 
 
 def _with_fresh_start(family: Family, info: dict[str, Any]) -> dict[str, Any]:
-    """Redraws the start that Brax's AutoResetWrapper keeps, which would otherwise replay one start for ever."""
+    """Redraws the start that Brax's AutoResetWrapper stores; without this every reset would be the same."""
     if "first_obs" not in info:
         return info
     key_first, key_later = jax.random.split(info["key"])
     first = family.initial(key_first)
-    return {**info, "key": key_later, "first_pipeline_state": first, "first_obs": family._first_seen(first)}
+    return {**info, "key": key_later, "first_pipeline_state": first, "first_obs": family._first_obs(first)}

@@ -18,14 +18,14 @@ from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
 
 HIND_FOOT = "bfoot"
 SPEEDS = range(1, 8)  # m/s, backward
-WEIGHTS = (1, 5, 10)  # of the height
+WEIGHTS = (1, 5, 10)  # on height
 
 
 class HalfCheetahRunJump(HalfCheetah):
-    """Reward −w_run |v − v*| + w_jump h − 0.1 Σa² a step: weights over shared terms, so a task is never a branch.
+    """Reward −w_run |v − v*| + w_jump h − 0.1 Σa² a step; tasks are weights on shared terms, never branches.
 
-    h is the height of the hind foot in metres (paper). The released code has the height of the torso, above where it
-    stands at rest: `jump_height="torso"`.
+    h is the height of the hind foot in metres (paper). `jump_height="torso"` is the authors' code: the height of the
+    torso above its position at rest.
     """
 
     name = "halfcheetah-run-jump"
@@ -44,7 +44,7 @@ class HalfCheetahRunJump(HalfCheetah):
         return task_set([_back(speed) for speed in SPEEDS] + [_jump(weight) for weight in WEIGHTS])
 
     def parse_task(self, text: str) -> Task:
-        """One of `back-1` … `back-7`, `jump-1`, `jump-5`, `jump-10`, or a nickname of one: walk, run, stand, jump."""
+        """Returns one of `back-1` … `back-7`, `jump-1`, `jump-5`, `jump-10`, or by nickname: walk, run, stand, jump."""
         nicknames = {"walk": "back-1", "run": "back-7", "stand": "jump-1", "jump": "jump-10"}
         tasks = {task.name: task for task in self.training_tasks().tasks}
         name = nicknames.get(text.strip().lower(), text.strip().lower())

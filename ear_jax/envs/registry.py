@@ -1,4 +1,4 @@
-"""Families by name: those of this package, those that installed packages offer, and a user's own file."""
+"""Families by name: from this package, from installed packages, or from a user's own file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ear_jax.physics import choose_engine
 from ear_jax.process.silent_imports import register_environment
 from ear_jax.tasks import Task
 
-FILES = (  # of this package, each with a FAMILY; a new family is its file and its line here
+FILES = (  # of this package, each defining FAMILY; a new family is its file and a line here
     "halfcheetah_vel",
     "ant_dir",
     "hopper_vel",
@@ -29,17 +29,17 @@ FILES = (  # of this package, each with a FAMILY; a new family is its file and i
 FAMILIES: dict[str, type[Family]] = {
     family.name: family for family in (importlib.import_module(f"{__package__}.{file}").FAMILY for file in FILES)
 }
-ENTRY_POINTS = "ear_jax.families"  # the group in which an installed package offers its own
+ENTRY_POINTS = "ear_jax.families"  # entry-point group of families in installed packages
 
 for _name, _family in FAMILIES.items():
     register_environment("ear_" + _name.replace("-", "_"), _family)
 
 
 def find_family(name: str) -> type[Family]:
-    """A family's class by its name, or by `path/to/file.py:ClassName`, whose code is then run.
+    """Returns a family's class by name, or by `path/to/file.py:ClassName`, which runs that file.
 
     Raises:
-      UsageError: there is none, or the file does not hold one.
+      UsageError: the family is unknown, or the file does not define it.
     """
     if name in FAMILIES:
         return FAMILIES[name]
@@ -55,12 +55,12 @@ def find_family(name: str) -> type[Family]:
 
 
 def offered_families() -> dict[str, EntryPoint]:
-    """What installed packages offer, by name."""
+    """Returns the entry points of families in installed packages, by name."""
     return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 def family_presets(name: str) -> Mapping[str, Mapping[str, Any]]:
-    """Returns what presets change for a family, by preset; nothing for a family that is not to be had here."""
+    """Returns a family's changes to presets, by preset; empty if the family cannot be loaded."""
     try:
         return find_family(name).presets
     except UsageError:
@@ -68,27 +68,27 @@ def family_presets(name: str) -> Mapping[str, Mapping[str, Any]]:
 
 
 def make_family(name: str, engine: str = "auto", **options: Any) -> Family:
-    """A family by name, on an engine, found to be one that can be trained on.
+    """Builds a family by name on an engine and checks that it can be trained on.
 
     Args:
       name: as `find_family` takes it.
       engine: an engine or `auto`.
-      options: settings the family declares in `options`; None leaves a setting as it is.
+      options: attributes declared in the family's `options`; None keeps the default.
 
     Raises:
-      UsageError: no such family, engine or option, or a family that is not well made.
+      UsageError: the family, engine or option is unknown, or the family is faulty.
       RunError: the engine cannot run here.
     """
     kind = find_family(name)
-    given = {option: value for option, value in options.items() if value is not None}
-    for option in given:
+    chosen = {option: value for option, value in options.items() if value is not None}
+    for option in chosen:
         if option not in kind.options:
             raise UsageError(f"{name} has no setting {option!r} (there are: {', '.join(kind.options) or 'none'})")
     engine = choose_engine(engine)
     try:
-        with user_code("it cannot be made", source_file(kind)):
-            family = kind(engine=engine, **given)
-            if not kind.__module__.startswith(f"{__package__}."):  # ours pass, as tests show; it would cost a second
+        with user_code("its constructor fails", source_file(kind)):
+            family = kind(engine=engine, **chosen)
+            if not kind.__module__.startswith(f"{__package__}."):  # tests check ours; it would cost a second here
                 check_family(family)
     except UsageError as error:
         raise UsageError(f"{name}: {error}") from error
@@ -96,10 +96,10 @@ def make_family(name: str, engine: str = "auto", **options: Any) -> Family:
 
 
 def find_task(family: Family, text: str) -> Task:
-    """The task of a family that a person means by a word.
+    """Returns the task of a family that a user's text names.
 
     Raises:
-      UsageError: there is none, or one that the family's own tasks cannot stand beside.
+      UsageError: there is none, or its params differ in names from those of the training tasks.
     """
     source = f"{family.name}: parse_task({text!r})"
     with user_code(f"{source} fails", source_file(type(family))):
@@ -110,12 +110,12 @@ def find_task(family: Family, text: str) -> Task:
 
 def _from_file(path: str, class_name: str) -> type[Family]:
     if not Path(path).is_file():
-        raise UsageError(f"no file {path}; a family of your own is named path/to/file.py:ClassName")
+        raise UsageError(f"no file {path}; name your own family as path/to/file.py:ClassName")
     spec = importlib.util.spec_from_file_location(f"ear_jax_user_{Path(path).stem}", path)
     if spec is None or spec.loader is None:
-        raise UsageError(f"{path} is no Python file")
+        raise UsageError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their own module up
+    sys.modules[spec.name] = module  # dataclasses look up their own module
     with user_code(f"{path} cannot be run", spec.origin):
         spec.loader.exec_module(module)
     if class_name not in vars(module):

@@ -1,4 +1,4 @@
-"""Symmetries of a robot: ways to turn or mirror a step after which physics is as true of it as before."""
+"""Symmetries of a robot: rotations and mirror images of a step under which its physics still holds."""
 
 from __future__ import annotations
 
@@ -12,75 +12,74 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Signed:
-    """Signed permutations of a vector, a variant each; variant 0 changes nothing."""
+    """Signed permutations of a vector, one per variant; variant 0 is the identity."""
 
     order: np.ndarray  # int [variants, size]
     sign: np.ndarray  # float32 [variants, size]
 
     def __call__(self, variant: jax.Array, vector: jax.Array) -> jax.Array:
-        """The variant of a vector [size], or of several laid end to end."""
+        """Applies a variant to a vector [size], or to several concatenated."""
         each = vector.reshape(-1, self.order.shape[1])
         return (each[:, jnp.asarray(self.order)[variant]] * jnp.asarray(self.sign)[variant]).ravel()
 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """What each variant makes of a step's parts and of a task: the step then does for that task what it did for its."""
+    """Maps by which a variant changes a step and a task; the new step has the old reward under the new task."""
 
     variants: int
     obs: Signed
     action: Signed
     outcome: Callable[[jax.Array, dict[str, jax.Array]], dict[str, jax.Array]]  # variant, outcome
-    task: Callable[[jax.Array, dict[str, jax.Array]], dict[str, jax.Array]]  # variant, a task's parameters
+    task: Callable[[jax.Array, dict[str, jax.Array]], dict[str, jax.Array]]  # variant, a task's params
 
 
-Moved = tuple[int, ...]
+SignedOrder = tuple[int, ...]  # a signed permutation: numbers from 1, negative where the sign changes
 
 
-def turns_and_flips(parts: Sequence[tuple[Moved, Moved]], turns: int) -> Signed:
-    """All of so many turns, each without and with a flip first; [2 · turns, size].
+def turns_and_flips(parts: Sequence[tuple[SignedOrder, SignedOrder]], turns: int) -> Signed:
+    """Builds the group of rotations and mirror images, [2 · turns, size]: each turn, without and after a flip.
 
     Args:
-      parts: of a vector, in their order, each told by what a turn and what a flip makes of it: place by place, the
-        number of the place in the part, counted from 1, that is found there afterwards, negative where its sign
-        changes.
-      turns: how many lead round.
+      parts: a vector's parts in order, each with its signed permutation by one turn and by the flip. Entry i is the
+        number, from 1 within the part, of the entry that moves to i.
+      turns: turns in a full rotation.
     """
     sizes = [len(turn) for turn, _ in parts]
-    before = np.repeat(np.cumsum(sizes) - sizes, sizes)  # of each place, how many the parts before it have
-    turn, flip = (np.sign(way) * (np.abs(way) + before) for way in map(np.concatenate, zip(*parts, strict=True)))
-    found = []
-    for start in (np.arange(1, len(turn) + 1), flip):
+    offset = np.repeat(np.cumsum(sizes) - sizes, sizes)  # of each entry's part within the vector
+    turn, flip = (np.sign(order) * (np.abs(order) + offset) for order in map(np.concatenate, zip(*parts, strict=True)))
+    orders = []
+    for order in (np.arange(1, len(turn) + 1), flip):
         for _ in range(turns):
-            found.append(start)
-            start = start[np.abs(turn) - 1] * np.sign(turn)
-    table = np.stack(found)
+            orders.append(order)
+            order = order[np.abs(turn) - 1] * np.sign(turn)
+    table = np.stack(orders)
     return Signed(np.abs(table) - 1, np.sign(table).astype(np.float32))
 
 
 def pair(signed: Signed, names: tuple[str, str]) -> Callable[[jax.Array, dict[str, jax.Array]], dict[str, jax.Array]]:
-    """Turns two named numbers as the vector that they are, and leaves the others as they are."""
+    """Returns a map that permutes two named numbers as a vector and leaves the others unchanged."""
 
-    def turned(variant: jax.Array, numbers: dict[str, jax.Array]) -> dict[str, jax.Array]:
+    def permute(variant: jax.Array, numbers: dict[str, jax.Array]) -> dict[str, jax.Array]:
         vector = signed(variant, jnp.stack([numbers[name] for name in names]))
         return {**numbers, names[0]: vector[0], names[1]: vector[1]}
 
-    return turned
+    return permute
 
 
 def own_by_symmetry(
     symmetry: Symmetry, tasks: dict[str, jax.Array], key: jax.Array, task: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Random variants, and of which task a transition has to be for its variant to be one of the task given.
+    """Draws random variants, and the tasks whose transitions they map to the given tasks.
 
     Args:
-      symmetry: of the family.
-      tasks: parameters, each leaf [tasks].
-      key: seeds the choice.
+      symmetry: the family's.
+      tasks: params, each leaf [tasks].
+      key: a random key.
       task: int32, any shape.
 
     Returns:
-      Tasks and variants, of that shape; the same task and variant 0 where no task would do.
+      Source tasks and variants, of that shape; the task itself and variant 0 if no task maps to it.
     """
     source, exists = origins(symmetry, tasks)
     variant = jax.random.randint(key, task.shape, 0, symmetry.variants)
@@ -89,17 +88,17 @@ def own_by_symmetry(
 
 
 def origins(symmetry: Symmetry, tasks: dict[str, jax.Array]) -> tuple[jax.Array, jax.Array]:
-    """Which task becomes which.
+    """Finds, for each variant and task, the task that the variant maps to it.
 
     Args:
-      symmetry: of the family.
-      tasks: parameters, each leaf [tasks].
+      symmetry: the family's.
+      tasks: params, each leaf [tasks].
 
     Returns:
-      For each variant and task the task that it makes that one of, int32 [variants, tasks], and whether there is one.
+      That task, int32 [variants, tasks], and whether there is one, bool [variants, tasks].
     """
     variants = jnp.arange(symmetry.variants)
-    turned = jax.vmap(lambda variant: jax.vmap(lambda task: symmetry.task(variant, task))(tasks))(variants)
-    # How far each is from each, [variants, from, to].
-    apart = sum(jnp.abs(turned[name][:, :, None] - tasks[name][None, None, :]) for name in tasks)
-    return jnp.argmin(apart, axis=1).astype(jnp.int32), jnp.min(apart, axis=1) < 1e-4
+    mapped = jax.vmap(lambda variant: jax.vmap(lambda task: symmetry.task(variant, task))(tasks))(variants)
+    # Distances [variants, source task, task].
+    distance = sum(jnp.abs(mapped[name][:, :, None] - tasks[name][None, None, :]) for name in tasks)
+    return jnp.argmin(distance, axis=1).astype(jnp.int32), jnp.min(distance, axis=1) < 1e-4

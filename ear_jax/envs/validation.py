@@ -1,4 +1,4 @@
-"""Refuses a family that cannot be trained on, in one line and before training is compiled."""
+"""Checks of a family before training is compiled; each fault is one line."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from ear_jax.errors import UsageError, unknown
 from ear_jax.physics import Motion, Physics
 from ear_jax.tasks import Task, TaskSet, task_set
 
-# An evaluation writes the first two beside an episode's outcomes, Brax's wrappers the others.
+# Names used beside outcomes: the first two by evaluations, the others by Brax's wrappers.
 RESERVED = ("return", "length", "reward", "sum_reward")
 
 
 def check_class(kind: Any, name: str) -> None:
-    """Raises UsageError, one line, for what is no family or lacks a part of one."""
+    """Raises UsageError for a value that is not a family class, or for one that lacks a method or attribute."""
     if not (isinstance(kind, type) and issubclass(kind, Family)):
-        raise UsageError(f"{name} is no family: it must be a class derived from ear_jax.envs.Family")
+        raise UsageError(f"{name} is not a family: it must be a class derived from ear_jax.envs.Family")
     if kind.__abstractmethods__:
         methods = ", ".join(f"{method}()" for method in sorted(kind.__abstractmethods__))
         raise UsageError(f"{name} does not define {methods}")
     default_load = kind.load is Family.load
-    for attribute, (holds, wanted) in ({**_ATTRIBUTES, **_MODEL} if default_load else _ATTRIBUTES).items():
+    for attribute, (is_valid, wanted) in ({**_ATTRIBUTES, **_MODEL} if default_load else _ATTRIBUTES).items():
         if not hasattr(kind, attribute):
             raise UsageError(f"{name} does not define {attribute}; it must be {wanted}")
-        if not holds(getattr(kind, attribute)):
-            raise UsageError(f"{name}: {attribute} must be {wanted}, and is {getattr(kind, attribute)!r}")
+        if not is_valid(getattr(kind, attribute)):
+            raise UsageError(f"{name}: {attribute} must be {wanted}, but is {getattr(kind, attribute)!r}")
 
 
 def check_family(family: Family) -> None:
-    """Raises UsageError, one line, with what the first fault is and what is expected."""
+    """Raises UsageError for a family's first fault, with what is expected instead."""
     tasks = _check_task_sets(family)
     if not family.action_size:
-        raise UsageError("the model has no actuators to act with")
+        raise UsageError("the model has no actuators")
     physics = _traced(family, "initial")(jax.random.key(0))
     if not isinstance(physics, Physics):
-        raise UsageError(f"initial() must return a Physics, and returns {_kind(physics)}")
+        raise UsageError(f"initial() must return a Physics, but returns {_kind(physics)}")
     model = family.model
-    moved = {"mocap": (model.nmocap, 3)} if model.nmocap else {}
-    for field, shape in {"qpos": (model.nq,), "qvel": (model.nv,), "warmstart": (model.nv,), **moved}.items():
+    mocap = {"mocap": (model.nmocap, 3)} if model.nmocap else {}
+    for field, shape in {"qpos": (model.nq,), "qvel": (model.nv,), "warmstart": (model.nv,), **mocap}.items():
         _expect(f"initial().{field}", getattr(physics, field), shape, "float32")
     _expect("observe()", _traced(family, "observe")(physics), None, "float32")
     _expect("terminated()", _traced(family, "terminated")(physics), (), "bool")
@@ -59,84 +59,84 @@ def check_family(family: Family) -> None:
 
 
 def check_task(task: Any, like: Any, source: str) -> None:
-    """Raises UsageError, one line, for what `source` made and cannot stand in one task set with `like`."""
+    """Raises UsageError for a task from `source` that is faulty or cannot share a task set with `like`."""
     if not isinstance(task, Task):
-        raise UsageError(f"{source}: a task must be a Task, and is {_kind(task)}")
+        raise UsageError(f"{source}: a task must be a Task, but is {_kind(task)}")
     if not (_is_text(task.name) and (task.target is None or _is_number(task.target))):
-        raise UsageError(f"{source}: a task needs a name and as its target a finite number or None, and one is {task}")
+        raise UsageError(f"{source}: a task needs a name and a target, a finite number or None, but one is {task}")
     if not (isinstance(task.params, dict) and task.params and all(map(_is_number, task.params.values()))):
         wanted = f"the params of task {task.name!r} must be finite numbers by name"
-        raise UsageError(f"{source}: {wanted}, and are {task.params}")
+        raise UsageError(f"{source}: {wanted}, but are {task.params}")
     if task.params.keys() != like.params.keys():
         raise UsageError(f"{source}: tasks {like.name!r} and {task.name!r} have different numbers in their params")
 
 
 def _check_task_sets(family: Family) -> TaskSet:
-    """Returns the training tasks."""
-    found = {
+    """Checks both task sets and returns the training tasks."""
+    task_sets = {
         "training_tasks": _guarded(family, "training_tasks")(),
         "adaptation_tasks": _guarded(family, "adaptation_tasks")(0),
     }
-    for method, tasks in found.items():
+    for method, tasks in task_sets.items():
         if not isinstance(tasks, TaskSet):
-            raise UsageError(f"{method}() must return a task_set(…), and returns {_kind(tasks)}")
-    training = task_set(found["training_tasks"].tasks)
-    for method, tasks in found.items():
+            raise UsageError(f"{method}() must return a task_set(…), but returns {_kind(tasks)}")
+    training = task_set(task_sets["training_tasks"].tasks)
+    for method, tasks in task_sets.items():
         for task in tasks.tasks:
             check_task(task, training.tasks[0], f"{method}()")
     return training
 
 
 def _check_actuate(family: Family, physics: Physics) -> tuple[Physics, jax.Array]:
-    """Returns what it makes of an action of zeros."""
-    made = _traced(family, "actuate")(physics, jnp.zeros(family.action_size))
-    if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Physics)):
-        raise UsageError(f"actuate() must return a Physics and a control, and returns {_kind(made)}")
-    _expect("the control that actuate() returns", made[1], (family.model.nu,), "float32")
-    return made
+    """Checks `actuate` and returns its result for an action of zeros."""
+    result = _traced(family, "actuate")(physics, jnp.zeros(family.action_size))
+    if not (isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], Physics)):
+        raise UsageError(f"actuate() must return a Physics and a control, but returns {_kind(result)}")
+    _expect("the control that actuate() returns", result[1], (family.model.nu,), "float32")
+    return result
 
 
 def _check_outcome(family: Family, outcome: Any) -> None:
     if not isinstance(outcome, dict) or not outcome:
-        raise UsageError(f"outcome() must be a dictionary of named scalars, and is {_kind(outcome)}")
+        raise UsageError(f"outcome() must return a dictionary of named scalars, but returns {_kind(outcome)}")
     for name, value in outcome.items():
         if name in RESERVED:
-            raise UsageError(f"outcome() must not hold {name!r}, which others write beside it; call it otherwise")
+            raise UsageError(f"outcome() must not contain {name!r}, which is reserved; rename it")
         _expect(f"outcome()[{name!r}]", value, ())
     if type(family).achieved is Family.achieved and family.commanded not in outcome:
         raise UsageError(f"commanded: {unknown('outcome', family.commanded, outcome)}")
 
 
 def _guarded(family: Family, method: str, wrap: Callable[..., Any] = lambda function: function) -> Callable[..., Any]:
-    """A method that fails in one line."""
+    """Wraps a family's method so that an exception in it becomes a UsageError."""
     return user_code(f"{method}() fails", source_file(type(family)))(wrap(getattr(family, method)))
 
 
 def _traced(family: Family, method: str) -> Callable[..., Any]:
-    """The same, traced as training does."""
+    """Does the same, and traces the method as training does."""
     return _guarded(family, method, jax.jit)
 
 
-def _expect(what: str, value: Any, shape: tuple[int, ...] | None, dtype: str | None = None) -> None:
-    """An array of that shape, a vector for None, and of that type; finite, for it comes of a fresh start."""
+def _expect(name: str, value: Any, shape: tuple[int, ...] | None, dtype: str | None = None) -> None:
+    """Raises UsageError unless a value of a fresh start is finite, of that shape (None: a vector) and that dtype."""
     wanted = "a vector" if shape is None else f"of shape {shape}" if shape else "a scalar"
     if not isinstance(value, jax.Array):
-        raise UsageError(f"{what} must be {wanted}, and is {_kind(value)}")
+        raise UsageError(f"{name} must be {wanted}, but is {_kind(value)}")
     if (value.ndim != 1) if shape is None else (value.shape != shape):
-        raise UsageError(f"{what} must be {wanted}, and has shape {value.shape}")
+        raise UsageError(f"{name} must be {wanted}, but has shape {value.shape}")
     if dtype not in (None, value.dtype.name):
-        raise UsageError(f"{what} must be {dtype}, and is {value.dtype}")
+        raise UsageError(f"{name} must be {dtype}, but is {value.dtype}")
     for index, number in np.ndenumerate(value):
         if not np.isfinite(number):
-            raise UsageError(f"{what}{list(index) or ''} is {number} at a fresh start; it must be finite")
+            raise UsageError(f"{name}{list(index) or ''} is {number} at a fresh start; it must be finite")
 
 
 def _kind(value: Any) -> str:
-    return "None" if value is None else f"of type {type(value).__name__}"
+    return "None" if value is None else f"a value of type {type(value).__name__}"
 
 
 def _is_number(value: Any) -> bool:
-    """Python's own, which JSON can hold."""
+    """Returns True for a finite Python number, which JSON can hold."""
     return isinstance(value, (int, float)) and math.isfinite(value)
 
 
@@ -157,13 +157,13 @@ def _are_limits(value: Any) -> bool:
 
 
 _ATTRIBUTES = {
-    "name": (_is_text, "a text"),
+    "name": (_is_text, "a non-empty string"),
     "substeps": (_is_count, "a whole number of at least 1"),
     "mjx_solver": (_are_limits, "two whole numbers of at least 1, as in (4, 8)"),
     "commanded": (_is_text, "the name of an outcome"),
-    "unit": (_is_text, "a text"),
+    "unit": (_is_text, "a non-empty string"),
     "bodies": (_are_texts, "a tuple of names"),
     "episode_length": (_is_count, "a whole number of at least 1"),
     "options": (_are_texts, "a tuple of names"),
 }
-_MODEL = {"model_file": (_is_text, "one of Gymnasium's models, or load() be defined")}
+_MODEL = {"model_file": (_is_text, "one of Gymnasium's models, unless load() is defined")}

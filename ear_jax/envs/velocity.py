@@ -19,8 +19,8 @@ class VelocityFamily(Family):
     """Reward `alive_bonus` − |v − v*| − `control_cost` Σa² a step, v in m/s along x (paper, appendix B.1)."""
 
     commanded, unit = "velocity", "m/s"
-    speeds: ClassVar[tuple[float, ...]]  # v* of the training tasks, ascending and evenly spaced
-    adaptation_range: ClassVar[tuple[float, float]]  # where unseen speeds are drawn from
+    speeds: ClassVar[tuple[float, ...]]  # v* of the training tasks in m/s, ascending and evenly spaced
+    adaptation_range: ClassVar[tuple[float, float]]  # m/s, range of the adaptation tasks
     alive_bonus: ClassVar[float] = 0.0
     control_cost: ClassVar[float]
 
@@ -32,7 +32,7 @@ class VelocityFamily(Family):
         return task_set([velocity_task(float(speed)) for speed in speeds])
 
     def parse_task(self, text: str) -> Task:
-        """A task from `2`, `2.5`, `vel-2.5` or `2.5m/s`."""
+        """Returns a task from `2`, `2.5`, `vel-2.5` or `2.5m/s`."""
         try:
             speed = float(text.strip().lower().removeprefix("vel-").removesuffix("m/s").strip())
         except ValueError:
@@ -49,17 +49,17 @@ class VelocityFamily(Family):
         return self.alive_bonus - tracking - self.control_cost * outcome["squared_action"]
 
 
-# A step is 8 ms, a sixth of the cheetah's: at a discount of 0.98 nothing past 0.4 s, less than a hop, would count.
-_LONG: dict[str, Any] = {"sac": {"discount": 0.99}}
+# A step is 8 ms, a sixth of the cheetah's. A discount of 0.98 would look only 0.4 s ahead, less than a hop.
+_LONG_HORIZON: dict[str, Any] = {"sac": {"discount": 0.99}}
 LEGGED_PRESETS: dict[str, dict[str, Any]] = {
     "paper": {"epochs": 5000},
-    "fast": _LONG,
-    "smoke": {**_LONG, "tasks": ("0.4", "1", "1.6")},
+    "fast": _LONG_HORIZON,
+    "smoke": {**_LONG_HORIZON, "tasks": ("0.4", "1", "1.6")},
 }
 
 
 class LeggedVelocityFamily(VelocityFamily):
-    """What Hopper-Vel and Walker-Vel share: starts near the upright pose, and speeds clipped in what is seen."""
+    """The base of Hopper-Vel and Walker-Vel: starts near the upright pose, and clipped speeds in observations."""
 
     substeps = 4
     speeds = tuple(round(0.2 * step, 1) for step in range(1, 11))
@@ -76,11 +76,11 @@ class LeggedVelocityFamily(VelocityFamily):
 
 
 def velocity_task(speed: float) -> Task:
-    """Run at `speed` metres per second; 2 m/s is called vel-2."""
+    """Returns the task to run at `speed` metres per second, vel-2 for 2 m/s."""
     speed = round(speed, 6)
     return Task(name=f"vel-{speed:g}", target=float(speed), params={"velocity": speed})
 
 
 def forward_velocity(motion: Motion, dt: float) -> jax.Array:
-    """Mean forward speed over the step, m/s, from how far the root moved."""
+    """Returns the mean forward speed over a step in m/s, from the root's displacement."""
     return (motion.after.qpos[0] - motion.before.qpos[0]) / dt

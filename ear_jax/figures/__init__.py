@@ -1,1 +1,1 @@
-"""From records to tables and figures. Nothing here trains, and nothing imports JAX."""
+"""Figures, strips, films and pages, drawn from documents and poses; imports no JAX."""

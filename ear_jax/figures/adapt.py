@@ -1,4 +1,4 @@
-"""How the search for a task's code went, epoch by epoch."""
+"""The figure of `ear adapt`: the course of the search, epoch by epoch."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ from ear_jax.figures.style import STYLE, legend_below, look
 from ear_jax.runs.records import folder
 
 
-def draw_search(figures: Path, document: dict[str, Any]) -> list[Path]:
-    """Draws what `ear adapt` found, a figure a seed; returns the paths, none where nothing was searched."""
+def draw_adapt(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """Draws one figure per seed and returns the paths; draws none if there was no search.
+
+    Args:
+      figures: the folder to write into.
+      document: the document of `ear adapt`.
+    """
     searched = [task for task in document["tasks"] if task["epochs"]]
     folder(figures)
     paths = []
@@ -22,7 +27,7 @@ def draw_search(figures: Path, document: dict[str, Any]) -> list[Path]:
             figure, axes = plt.subplots(figsize=(4.6, 3.4), layout="constrained")
             for index, task in enumerate(task for task in searched if task["seed"] == seed):
                 _draw_task(axes, index, task)
-            axes.set(xlabel="epochs of search (0: none, from a map)", ylabel="return of an episode")
+            axes.set(xlabel="epochs of search (0: LTE from a map)", ylabel="return of an episode")
             legend_below(axes, 2)
             paths.append(figures / f"adaptation_seed{seed}.png")
             figure.savefig(paths[-1])
@@ -31,15 +36,15 @@ def draw_search(figures: Path, document: dict[str, Any]) -> list[Path]:
 
 
 def _draw_task(axes: Axes, index: int, task: dict[str, Any]) -> None:
-    """The best of each epoch, and the same judged again by fresh episodes."""
+    """Draws the best candidate of each epoch, its return in fresh episodes, and the answer of the map."""
     epochs, style = range(1, len(task["epochs"]) + 1), look(index)
-    for name, what, line, fill in (
-        ("reevaluated", "judged again", "-", "full"),
+    for name, label, line, fill in (
+        ("reevaluated", "in fresh episodes", "-", "full"),
         ("best_of_epoch", "best candidate", "--", "none"),
     ):
         values = [epoch[name] for epoch in task["epochs"]]
-        look_of = {**style, "linestyle": line, "fillstyle": fill}
-        axes.plot(epochs, values, **look_of, markersize=4, linewidth=1.4, label=f"{task['name']}: {what}")
+        line_style = {**style, "linestyle": line, "fillstyle": fill}
+        axes.plot(epochs, values, **line_style, markersize=4, linewidth=1.4, label=f"{task['name']}: {label}")
     if task["zero_shot"]:
-        look_of = {**style, "linestyle": "none", "markersize": 8}
-        axes.plot(0, task["zero_shot"]["reevaluated"], **look_of, label="_")
+        marker_style = {**style, "linestyle": "none", "markersize": 8}
+        axes.plot(0, task["zero_shot"]["reevaluated"], **marker_style, label="_")

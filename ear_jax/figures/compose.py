@@ -1,4 +1,4 @@
-"""What blends of two tasks do: outcomes along β, and which feet are down when."""
+"""The figure of `ear compose`: outcomes along β, and the ground contacts of the feet over time."""
 
 from __future__ import annotations
 
@@ -15,21 +15,28 @@ from ear_jax.runs.records import folder
 UNITS = {"height": "m", "squared_action": "1", "velocity_x": "m/s", "velocity_y": "m/s"}
 
 
-def draw_gaits(figures: Path, document: dict[str, Any]) -> list[Path]:
-    """A figure a seed; returns the paths."""
+def draw_compose(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """Draws one figure per seed and returns the paths.
+
+    Args:
+      figures: the folder to write into.
+      document: the document of `ear compose`.
+    """
     folder(figures)
     between = "_to_".join(document["between"])
-    paths = [figures / f"compose_{between}_seed{one['seed']}.png" for one in document["seeds"]]
-    return [_draw_seed(path, one, document) for path, one in zip(paths, document["seeds"], strict=True)]
+    return [
+        _draw_seed(figures / f"compose_{between}_seed{entry['seed']}.png", entry["blends"], document)
+        for entry in document["seeds"]
+    ]
 
 
-def _draw_seed(path: Path, one: dict[str, Any], document: dict[str, Any]) -> Path:
-    quantity, blends = document["commanded"], one["blends"]
-    shown = [name for name in blends[0]["outcome"] if name != "squared_action"]
-    columns = len(shown) + bool(document["feet"])
+def _draw_seed(path: Path, blends: list[dict[str, Any]], document: dict[str, Any]) -> Path:
+    quantity = document["commanded"]
+    names = [name for name in blends[0]["outcome"] if name != "squared_action"]
+    columns = len(names) + bool(document["feet"])
     with plt.rc_context(STYLE):
         figure, grid = plt.subplots(1, columns, figsize=(3.2 * columns, 2.9), layout="constrained", squeeze=False)
-        for axes, name in zip(grid[0], shown, strict=False):
+        for axes, name in zip(grid[0], names, strict=False):
             unit = quantity["unit"] if name == quantity["outcome"] else UNITS.get(name, "")
             values = [blend["outcome"][name] for blend in blends]
             axes.plot([blend["beta"] for blend in blends], values, marker="o", markersize=4, color=COLOURS[0])
@@ -42,7 +49,7 @@ def _draw_seed(path: Path, one: dict[str, Any], document: dict[str, Any]) -> Pat
 
 
 def _draw_contacts(axes: Axes, blends: list[dict[str, Any]], document: dict[str, Any]) -> None:
-    """For every β a line a foot, drawn while that foot is down."""
+    """Draws one line per blend and foot, interrupted while that foot is off the ground."""
     dt, feet = document["dt"], document["feet"]
     for row, blend in enumerate(blends):
         down = np.array(blend["pattern"], bool)
@@ -50,7 +57,7 @@ def _draw_contacts(axes: Axes, blends: list[dict[str, Any]], document: dict[str,
         for column, foot in enumerate(feet):
             height = row + 0.25 * (column - (len(feet) - 1) / 2)
             label = f"{foot} foot" if row == 0 else None
-            spans = [(when, dt) for when, touches in zip(time, down[:, column], strict=True) if touches]
+            spans = [(start, dt) for start, touches in zip(time, down[:, column], strict=True) if touches]
             axes.broken_barh(spans, (height - 0.1, 0.2), color=COLOURS[column], label=label, linewidth=0)
     axes.set_yticks(range(len(blends)), [f"{blend['beta']:g}" for blend in blends])
     axes.invert_yaxis()

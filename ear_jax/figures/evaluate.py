@@ -1,4 +1,4 @@
-"""Figures of one run: its learning curve, and what it achieved against what was commanded."""
+"""The figures of `ear evaluate`: the learning curve, and the achieved against the commanded quantity."""
 
 from __future__ import annotations
 
@@ -13,9 +13,15 @@ from ear_jax.figures.style import COLOURS, STYLE
 from ear_jax.runs.records import folder
 
 
-def draw_run(directory: Path, rows: list[dict[str, Any]], evaluation: dict[str, Any]) -> list[Path]:
-    """Draws into `figures/` a run's learning curve and what it achieved against what was commanded, if there is any."""
-    figures = folder(directory / "figures")
+def draw_evaluate(figures: Path, evaluation: dict[str, Any], rows: list[dict[str, Any]]) -> list[Path]:
+    """Draws the figures that there are data for, and returns the paths.
+
+    Args:
+      figures: the folder to write into.
+      evaluation: the document of `ear evaluate`.
+      rows: the run's metrics, for the learning curve.
+    """
+    folder(figures)
     drawn = []
     if rows:
         drawn.append(_draw(figures / "learning_curve.png", (4.5, 3.0), lambda axes: learning_curve(axes, rows)))
@@ -35,20 +41,20 @@ def _draw(path: Path, inches: tuple[float, float], draw: Callable[[Axes], None])
 
 
 def learning_curve(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """Mean evaluation return against minutes, a line a seed."""
+    """Draws the mean evaluation return against wall time, one line per seed."""
     for index, seed in enumerate(sorted({row["seed"] for row in rows})):
-        mine = [row for row in rows if row["seed"] == seed]
-        minutes = [row["seconds"] / 60 for row in mine]
+        own = [row for row in rows if row["seed"] == seed]
+        minutes = [row["seconds"] / 60 for row in own]
         colour = COLOURS[index % len(COLOURS)]
-        axes.plot(minutes, [row["mean_return"] for row in mine], color=colour, marker=".", label=f"seed {seed}")
+        axes.plot(minutes, [row["mean_return"] for row in own], color=colour, marker=".", label=f"seed {seed}")
     last = rows[-1]
-    steps = f"{last['env_steps']:,} env steps and {last['updates']:,} updates a seed"
+    steps = f"{last['env_steps']:,} env steps and {last['updates']:,} updates per seed"
     axes.set(xlim=(0, None), xlabel="wall time (min)", ylabel="return, mean over tasks", title=steps)
     axes.legend(frameon=False)
 
 
 def commanded_against_achieved(axes: Axes, evaluation: dict[str, Any]) -> None:
-    """Every evaluation episode a point, on the line where it did what it was told."""
+    """Draws one point per evaluation episode; points on the line achieve their target."""
     name, unit = evaluation["commanded"]["outcome"], evaluation["commanded"]["unit"]
     for index, seed in enumerate(evaluation["seeds"]):
         tasks = [task for task in seed["tasks"] if task["target"] is not None]

@@ -1,4 +1,4 @@
-"""What blends of two tasks achieve along β, and where a target was met."""
+"""The figure of `ear interpolate`: the achievement of blends along β, and the blend nearest to the target."""
 
 from __future__ import annotations
 
@@ -13,8 +13,13 @@ from ear_jax.figures.style import COLOURS, STYLE, legend_below, look
 from ear_jax.runs.records import folder
 
 
-def draw_blends(figures: Path, document: dict[str, Any]) -> list[Path]:
-    """Draws what `ear interpolate` found, a figure a seed; returns the paths."""
+def draw_interpolate(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """Draws one figure per seed and returns the paths.
+
+    Args:
+      figures: the folder to write into.
+      document: the document of `ear interpolate`, with `pairs` or, for given β, with `blends`.
+    """
     folder(figures)
     kind, draw = ("pairs", _draw_pairs) if "pairs" in document else ("blends", _draw_betas)
     paths = []
@@ -32,12 +37,12 @@ def draw_blends(figures: Path, document: dict[str, Any]) -> list[Path]:
 
 
 def _draw_pairs(axes: Axes, pairs: list[dict[str, Any]], document: dict[str, Any]) -> None:
-    """Pairs side by side, each from its first task to its second; dots, as a direction may pass from 360° to 0."""
-    places = 1 - np.array(document["betas"])
+    """Draws pairs side by side, from first to second task; as dots, since directions may pass from 360° to 0."""
+    positions = 1 - np.array(document["betas"])
     names = [pair["between"][0] for pair in pairs] + [pairs[-1]["between"][1]]
     for row, pair in enumerate(pairs):
         dots, best, target = ("blend", "nearest to the target", "target") if row == 0 else ("", "", "")
-        axes.plot(row + places, pair["curve"], ".", color=COLOURS[0], markersize=3, label=dots)
+        axes.plot(row + positions, pair["curve"], ".", color=COLOURS[0], markersize=3, label=dots)
         axes.plot(row + 1 - pair["beta"], pair["outcome"], "*", color=COLOURS[1], markersize=9, label=best, zorder=3)
         axes.hlines(pair["target"], row, row + 1, color="0.35", linestyle="--", label=target)
     axes.set_xticks(range(len(names)), names, rotation=90 if len(names) > 6 else 0)
@@ -46,7 +51,7 @@ def _draw_pairs(axes: Axes, pairs: list[dict[str, Any]], document: dict[str, Any
 
 
 def _draw_betas(axes: Axes, blends: list[dict[str, Any]], document: dict[str, Any]) -> None:
-    """A line a pair, over the β that were asked for."""
+    """Draws one line per pair over the given β."""
     lines: dict[str, list[tuple[float, float]]] = {}
     for blend in blends:
         lines.setdefault(" – ".join(blend["between"]), []).append((blend["beta"], blend["outcome"]))

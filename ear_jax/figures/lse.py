@@ -1,4 +1,4 @@
-"""Raw state and latent state embedding along one gait, side by side."""
+"""The figure of `ear lse`: the raw state and the latent state embedding along one gait, side by side."""
 
 from __future__ import annotations
 
@@ -15,21 +15,26 @@ from ear_jax.runs.records import folder
 NAMES = {"state": "raw state", "lse": "LSE"}
 
 
-def draw_signals(figures: Path, document: dict[str, Any]) -> list[Path]:
-    """A figure a seed: both signals in their main directions, and their autocorrelations; returns the paths."""
+def draw_lse(figures: Path, document: dict[str, Any]) -> list[Path]:
+    """Draws one figure per seed, principal components and autocorrelations, and returns the paths.
+
+    Args:
+      figures: the folder to write into.
+      document: the document of `ear lse`.
+    """
     folder(figures)
-    return [_draw_seed(figures / f"lse_seed{one['seed']}.png", one, document) for one in document["seeds"]]
+    return [_draw_seed(figures / f"lse_seed{entry['seed']}.png", entry, document) for entry in document["seeds"]]
 
 
-def _draw_seed(path: Path, one: dict[str, Any], document: dict[str, Any]) -> Path:
+def _draw_seed(path: Path, entry: dict[str, Any], document: dict[str, Any]) -> Path:
     with plt.rc_context(STYLE):
         figure, (first, second, third) = plt.subplots(1, 3, figsize=(9.5, 2.9), layout="constrained")
         for axes, name in ((first, "state"), (second, "lse")):
-            shown = _draw_path(axes, one[name], NAMES[name], document["dt"])
-        bar = figure.colorbar(shown, ax=second, shrink=0.9)
+            points = _draw_path(axes, entry[name], NAMES[name], document["dt"])
+        bar = figure.colorbar(points, ax=second, shrink=0.9)
         bar.set_label("time (s)")
         for index, name in enumerate(NAMES):
-            signal = one[name]
+            signal = entry[name]
             lags = document["dt"] * np.arange(len(signal["autocorrelation"]))
             third.plot(lags, signal["autocorrelation"], color=COLOURS[index], label=NAMES[name], ls=("-", "--")[index])
             if signal["period"]:
@@ -44,7 +49,7 @@ def _draw_seed(path: Path, one: dict[str, Any], document: dict[str, Any]) -> Pat
 def _draw_path(axes: Axes, signal: dict[str, Any], name: str, dt: float) -> Any:
     x, y = np.array(signal["path"]).T
     axes.plot(x, y, color="0.8", linewidth=0.8, zorder=1)
-    shown = axes.scatter(x, y, c=dt * np.arange(len(x)), cmap="viridis", s=9, zorder=2)
+    points = axes.scatter(x, y, c=dt * np.arange(len(x)), cmap="viridis", s=9, zorder=2)
     share = f"{sum(signal['explained']):.0%} of the variance"
     axes.set(xlabel="1st principal component", ylabel="2nd principal component", title=f"{name}: {share}")
-    return shown
+    return points

@@ -1,4 +1,4 @@
-"""The sphere of codes, coloured by what each code makes the robot do."""
+"""The figures of `ear map`: the LTE sphere, coloured by what the robot achieves under each LTE."""
 
 from __future__ import annotations
 
@@ -14,32 +14,37 @@ from ear_jax.figures.style import STYLE
 from ear_jax.runs.records import folder
 
 VIEWS = ((20.0, 30.0), (20.0, 210.0))  # elevation and azimuth of the two sides of the sphere, degrees
-BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # labels
+BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # box behind a label
 
 
 def draw_map(figures: Path, document: dict[str, Any]) -> list[Path]:
-    """Draws for every seed both sides of the sphere and a flat map of it; returns the paths."""
+    """Draws for every seed both sides of the sphere and a flat map of it, and returns the paths.
+
+    Args:
+      figures: the folder to write into.
+      document: the document of `ear map`.
+    """
     folder(figures)
     return [
         path
-        for one in document["seeds"]
+        for entry in document["seeds"]
         for path in (
-            _draw_sphere(figures / f"sphere_seed{one['seed']}.png", one, document["commanded"]),
-            _draw_flat(figures / f"map_seed{one['seed']}.png", one, document["commanded"]),
+            _draw_sphere(figures / f"sphere_seed{entry['seed']}.png", entry, document["commanded"]),
+            _draw_flat(figures / f"map_seed{entry['seed']}.png", entry, document["commanded"]),
         )
     ]
 
 
 def colours(achieved: list[float], commanded: dict[str, Any]) -> tuple[Colormap, Normalize]:
-    """What a map is coloured by: speeds from the least to the most; what wraps on a circle of colours."""
+    """Returns the colour map and its scale: a cyclic one for a quantity that wraps, else from the least to the most."""
     if commanded["period"] is not None:
         return plt.get_cmap("twilight"), Normalize(0, commanded["period"])
     return plt.get_cmap("viridis"), Normalize(min(achieved), max(achieved))
 
 
-def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Path:
-    shades, scale = colours(one["achieved"], commanded)
-    places, trained = np.array(one["ltes"]), np.array([task["lte"] for task in one["trained"]])
+def _draw_sphere(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -> Path:
+    shades, scale = colours(entry["achieved"], commanded)
+    ltes, trained = np.array(entry["ltes"]), np.array([task["lte"] for task in entry["trained"]])
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(7.0, 3.4))
         for index, (elevation, azimuth) in enumerate(VIEWS):
@@ -47,16 +52,16 @@ def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> 
             up, turn = np.radians((elevation, azimuth))
             toward = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
             labels = trained + 0.17 * _across(trained, toward)
-            seen = places @ toward > 0  # the far side is the other view's
-            shown = axes.scatter(*places[seen].T, c=np.array(one["achieved"])[seen], cmap=shades, norm=scale, s=14)
-            for task, code, label in zip(one["trained"], trained, labels, strict=True):
+            near = ltes @ toward > 0  # the other view shows the far side
+            points = axes.scatter(*ltes[near].T, c=np.array(entry["achieved"])[near], cmap=shades, norm=scale, s=14)
+            for task, code, label in zip(entry["trained"], trained, labels, strict=True):
                 if code @ toward > 0:
                     axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4)
                     axes.text(*label, _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=3)
             axes.view_init(elevation, azimuth)
             axes.set_box_aspect((1, 1, 1), zoom=1.45)
             axes.set_axis_off()
-        bar = figure.colorbar(shown, ax=figure.axes, shrink=0.75, pad=0.02)
+        bar = figure.colorbar(points, ax=figure.axes, shrink=0.75, pad=0.02)
         bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
         figure.savefig(path)
         plt.close(figure)
@@ -64,24 +69,24 @@ def _draw_sphere(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> 
 
 
 def _across(codes: np.ndarray, toward: np.ndarray) -> np.ndarray:
-    """For each of a chain of codes [n, 3], the unit vector across it as seen from a side: where its label is free."""
+    """Returns unit vectors [n, 3] that lead from codes [n, 3] to their labels, across the line of codes in a view."""
     sideways = np.cross(toward, np.diff(codes, axis=0, append=codes[:1]))
     return sideways / np.maximum(np.linalg.norm(sideways, axis=1, keepdims=True), 1e-9)
 
 
-def _draw_flat(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Path:
-    shades, scale = colours(one["achieved"], commanded)
+def _draw_flat(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -> Path:
+    shades, scale = colours(entry["achieved"], commanded)
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(6.2, 3.2))
         axes: Axes = figure.add_subplot(projection="mollweide")
-        longitude, latitude = _angles(np.array(one["ltes"]))
-        shown = axes.scatter(longitude, latitude, c=one["achieved"], cmap=shades, norm=scale, s=12, linewidths=0)
-        for task in one["trained"]:
-            where = _angles(np.array([task["lte"]]))
-            axes.scatter(*where, color="white", edgecolor="black", s=28, zorder=4)
+        longitude, latitude = _angles(np.array(entry["ltes"]))
+        points = axes.scatter(longitude, latitude, c=entry["achieved"], cmap=shades, norm=scale, s=12, linewidths=0)
+        for task in entry["trained"]:
+            position = _angles(np.array([task["lte"]]))
+            axes.scatter(*position, color="white", edgecolor="black", s=28, zorder=4)
             axes.annotate(
                 _label(task),
-                (where[0][0], where[1][0]),
+                (position[0][0], position[1][0]),
                 xytext=(6, 0),
                 textcoords="offset points",
                 va="center",
@@ -91,7 +96,7 @@ def _draw_flat(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Pa
             )
         axes.set(xticklabels=[], yticklabels=[], xlabel="LTE sphere, equal areas; circles: LTEs of the training tasks")
         axes.grid(alpha=0.3)
-        bar = figure.colorbar(shown, ax=axes, shrink=0.85, pad=0.03)
+        bar = figure.colorbar(points, ax=axes, shrink=0.85, pad=0.03)
         bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
         figure.savefig(path)
         plt.close(figure)
@@ -99,7 +104,7 @@ def _draw_flat(path: Path, one: dict[str, Any], commanded: dict[str, Any]) -> Pa
 
 
 def _angles(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Longitude and latitude, in radians, of unit vectors [n, 3]."""
+    """Returns the longitude and latitude, in radians, of unit vectors [n, 3]."""
     return np.arctan2(codes[:, 1], codes[:, 0]), np.arcsin(np.clip(codes[:, 2], -1, 1))
 
 

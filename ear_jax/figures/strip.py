@@ -1,4 +1,4 @@
-"""Stop-motion strips: where a robot stood from one moment to the next, with a flag where it ended."""
+"""Stop-motion strips: poses of the robot at equal times, with a flag at its last position."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from ear_jax.figures.style import STYLE
 
 FLAG, GROUND = "#D5000F", "#CED2CE"
 LEFT, RIGHT, BELOW = 1.1, 0.15, 0.45  # inches around the panels
-WIDEST, TALLEST = 5.8, 5.0  # inches, a panel at most
+WIDEST, TALLEST = 5.8, 5.0  # largest size of a panel, inches
 DPI = 200
 
 
 @dataclass(frozen=True)
 class Track:
-    """One robot's poses as sticks, in metres across the panel and up."""
+    """One robot's poses as stick figures, in metres across the panel and up."""
 
     label: str
     colours: np.ndarray  # [poses, 3] in [0, 1]
     limbs: np.ndarray  # [poses, limbs, 2, 2]
     radii: np.ndarray  # [limbs] metres
-    flag: tuple[float, float, float] | None  # where it ended, and how long the pole is; none for one that stands
+    flag: tuple[float, float, float] | None  # x and foot of the flag and length of its pole; None for a fixed robot
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Tracks side by side on one ground, and their picture if there is one."""
+    """Tracks on one ground, and their rendered picture if there is one."""
 
     tracks: Sequence[Track]
     picture: np.ndarray | None = None
@@ -45,36 +45,36 @@ class Panel:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What every panel of a strip shows, in metres."""
+    """The part of the plane that every panel of a strip shows, in metres."""
 
     left: float
     right: float
     low: float
     high: float
-    ground: float  # up to where the ground is seen
+    ground: float  # upper edge of the ground
 
     @property
     def inches(self) -> tuple[float, float]:
-        """A panel's size on paper, to scale."""
+        """The size of a panel in inches, to scale."""
         wide, tall = self.right - self.left, self.high - self.low
         scale = min(WIDEST / wide, TALLEST / tall)
         return wide * scale, tall * scale
 
     @property
     def pixels(self) -> tuple[int, int]:
-        """The size of a picture that fills a panel."""
+        """The size in pixels of a picture that fills a panel."""
         width, height = self.inches
         return round(width * DPI), round(height * DPI)
 
 
 def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str) -> Path:
-    """Draws panels one below another, with the pictures they have and otherwise with sticks.
+    """Draws panels one below another: their pictures, or stick figures for panels without one.
 
     Args:
-      path: where to.
-      panels: tracks are named at the left of their panel, in their colours where there are several.
-      bounds: what each shows.
-      caption: what stands below the axis.
+      path: the file to write.
+      panels: the panels; the labels of their tracks are at the left, in the tracks' colours if there are several.
+      bounds: the part of the plane that each panel shows.
+      caption: the text below the axis.
     """
     (width, height), gap = bounds.inches, 0.06
     wide, tall = LEFT + width + RIGHT, BELOW + len(panels) * (height + gap)
@@ -94,7 +94,7 @@ def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str
 
 
 def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:
-    inch = (bounds.right - bounds.left) / bounds.inches[0]  # in metres
+    inch = (bounds.right - bounds.left) / bounds.inches[0]  # metres in an inch
     axes.set(xlim=(bounds.left, bounds.right), ylim=(bounds.low, bounds.high), yticks=[])
     axes.spines[:].set_visible(False)
     if panel.picture is not None:
@@ -107,19 +107,19 @@ def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:
         if track.flag:
             _draw_flag(axes, *track.flag, inch)
         colour = "black" if len(panel.tracks) == 1 else track.colours[-1]
-        place = (-0.02, 1 - (row + 0.5) / len(panel.tracks))
-        axes.text(*place, track.label, transform=axes.transAxes, color=colour, ha="right", va="center")
+        position = (-0.02, 1 - (row + 0.5) / len(panel.tracks))
+        axes.text(*position, track.label, transform=axes.transAxes, color=colour, ha="right", va="center")
 
 
 def _draw_sticks(axes: Axes, track: Track, points: float) -> None:
-    """Every limb a line as thick as it is, with `points` in a metre."""
+    """Draws every limb as a line of the limb's thickness; `points` is the number of points in a metre."""
     for limbs, colour in zip(track.limbs, track.colours, strict=True):
         widths = 2 * points * track.radii
         axes.add_collection(LineCollection(list(limbs), linewidths=widths, colors=[colour], capstyle="round"))
 
 
 def _draw_flag(axes: Axes, x: float, foot: float, pole: float, inch: float) -> None:
-    """A red flag planted at `foot`; lengths in metres, of which `inch` make one on paper."""
+    """Draws a red flag whose pole starts at `foot`; lengths in metres, with `inch` metres in an inch."""
     top = foot + pole
     axes.plot((x, x), (foot, top), color=FLAG, linewidth=1.2)
     cloth = [(x, top), (x + 0.16 * inch, top - 0.055 * inch), (x, top - 0.11 * inch)]

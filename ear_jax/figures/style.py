@@ -1,4 +1,4 @@
-"""The look of all figures: colours, lines and legends."""
+"""The style of all figures: colours, lines and legends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib.axes import Axes
 
-# Okabe and Ito's colours, told apart by the colour-blind too.
+# Okabe and Ito's palette, which colour-blind readers can distinguish.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LINES = ("-", "--", "-.", ":")
 MARKERS = "os^Dvx"
@@ -25,7 +25,7 @@ STYLE: Any = {
 
 
 def look(index: int) -> dict[str, Any]:
-    """Colour, line and marker of the line of an index, unlike all others' up to twelve."""
+    """Returns colour, line style and marker of the line of an index; the first twelve all differ."""
     return {
         "color": COLOURS[index % len(COLOURS)],
         "linestyle": LINES[(index + index // len(COLOURS)) % len(LINES)],
@@ -34,5 +34,5 @@ def look(index: int) -> dict[str, Any]:
 
 
 def legend_below(axes: Axes, columns: int) -> None:
-    """Where it hides no line."""
+    """Puts the legend below the axes, where it hides no line."""
     axes.legend(fontsize=7, ncols=columns, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.2))

@@ -1,4 +1,4 @@
-"""Films as files: GIF by Pillow, MP4 where there is an ffmpeg."""
+"""Films as files: GIF by Pillow, and MP4 if ffmpeg is installed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ear_jax.errors import RunError
 
-GIF_BYTES = 3_000_000  # a GIF that would be larger leaves every other picture out, and lasts as long
+GIF_BYTES = 3_000_000  # a larger GIF is written again with every other picture, each shown twice as long
 GIF_COLOURS = 64
 INK = (40, 44, 52)
 
 
 def caption(picture: np.ndarray, text: str) -> np.ndarray:
-    """The picture [height, width, 3] with a line of text at the top left."""
+    """Returns the picture [height, width, 3] with a line of text at the top left."""
     image = Image.fromarray(np.ascontiguousarray(picture))
     font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), 13)
     ImageDraw.Draw(image).text((8, 5), text, INK, font)
@@ -28,10 +28,12 @@ def caption(picture: np.ndarray, text: str) -> np.ndarray:
 
 
 def write_gif(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Path:
-    """Writes pictures [height, width, 3], each shown for `seconds`; a GIF counts in hundredths."""
+    """Writes pictures [height, width, 3], each shown for `seconds`, which GIF rounds to hundredths."""
     palette = Image.fromarray(pictures[len(pictures) // 2]).quantize(GIF_COLOURS)
-    # One palette and no dithering: what stands still stays the same to the bit, and is not stored again.
-    first, *others = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
+    # One palette and no dithering: pixels that do not change are then not stored again.
+    first, *others = (
+        Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
+    )
     scratch, hundredths = path.with_name(path.name + ".part"), round(100 * seconds)
     first.save(scratch, "GIF", save_all=True, append_images=others, duration=10 * hundredths, loop=0, optimize=False)
     if scratch.stat().st_size > GIF_BYTES and len(pictures) > 2:
@@ -41,7 +43,7 @@ def write_gif(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Pat
 
 
 def write_mp4(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Path | None:
-    """Writes the same as MP4, or nothing where no ffmpeg is on the PATH; raises RunError where it fails."""
+    """Writes the same as MP4 if ffmpeg is on the PATH, else returns None; raises RunError if ffmpeg fails."""
     program = shutil.which("ffmpeg")
     if program is None:
         return None

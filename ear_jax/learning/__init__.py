@@ -1,1 +1,1 @@
-"""How agents learn: replay of outcomes, the objectives, and one learner for each kind of algorithm."""
+"""Learning: replay of outcomes, objectives and a learner per algorithm (SAC, PEARL, MAML)."""

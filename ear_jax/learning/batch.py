@@ -1,4 +1,4 @@
-"""What an update learns from: which transitions are drawn, and for which task each is scored."""
+"""Batches: the transitions an update learns from, and the task each is scored for."""
 
 from __future__ import annotations
 
@@ -12,9 +12,33 @@ from flax import struct
 from ear_jax.config import Config
 from ear_jax.envs import Family
 from ear_jax.envs.symmetry import Symmetry, own_by_symmetry
-from ear_jax.learning import replay
+from ear_jax.errors import UsageError
+from ear_jax.learning import replay, return_scale
 from ear_jax.learning.replay import Replay
 from ear_jax.tasks import TaskParams, task_count
+
+
+def check_batch(config: Config, tasks: int) -> None:
+    """Raises UsageError for a batch that is not divisible by the tasks or a replay below one epoch."""
+    if config.sac.batch_size % tasks:
+        lower = max(1, config.sac.batch_size // tasks) * tasks
+        raise UsageError(
+            f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
+            f"try {lower} or {lower + tasks}"
+        )
+    epoch = config.collect.envs * config.collect.steps
+    if config.replay.capacity // tasks < epoch:
+        raise UsageError(
+            f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} "
+            f"steps; it must be at least {tasks * epoch}"
+        )
+    if (share := config.sac.batch_size // tasks) % config.sac.policy_share:
+        raise UsageError(
+            f"--sac.policy-share {config.sac.policy_share} does not divide the {share} transitions that a batch "
+            "has of each task"
+        )
+    if config.network.critic_bins and not config.sac.return_scale:
+        raise UsageError("--network.critic-bins needs --sac.return-scale, the largest return that bins reach")
 
 
 @struct.dataclass
@@ -27,30 +51,30 @@ class Noise:
 
 @struct.dataclass
 class Draws:
-    """Everything random about one update, drawn for all updates of an epoch at once, which is cheaper."""
+    """All randomness of one update; drawn for all updates of an epoch at once, which is cheaper."""
 
     source: jax.Array  # int32 [n]: the task whose ring an item comes from
     variant: jax.Array  # int32 [n]: the symmetry applied to it; 0 changes nothing
-    place: jax.Array  # [n] in [0, 1): its place in that ring
-    now: Noise
-    next: Noise
+    place: jax.Array  # [n] in [0, 1): its position in that ring
+    now: Noise  # for the actor's objective
+    next: Noise  # for the critics' target
 
 
 @struct.dataclass
 class Batch:
-    """Transitions scored for the tasks they teach."""
+    """Transitions and their rewards, each for one task."""
 
     obs: jax.Array  # [n, obs]
     action: jax.Array  # [n, act]
     next_obs: jax.Array  # [n, obs]
-    reward: jax.Array  # [n]
+    reward: jax.Array  # [n], scaled
     terminated: jax.Array  # bool [n]
-    task: jax.Array  # int32 [n]
+    task: jax.Array  # int32 [n], the task it is scored for
 
 
 @dataclass(frozen=True)
 class Batches:
-    """Draws batches in which every task has an equal share."""
+    """Draws batches that hold equally many items for every task."""
 
     family: Family
     tasks: TaskParams  # each leaf [tasks]
@@ -59,24 +83,30 @@ class Batches:
 
     @property
     def symmetry(self) -> Symmetry | None:
-        """The family's symmetry, if the settings use it."""
+        """The family's symmetry if `replay.symmetry` is set."""
         return self.family.symmetry if self.config.replay.symmetry else None
 
+    def reward_scale(self, buffer: Replay) -> float | jax.Array:
+        """Returns the factor on rewards: `sac.reward_scale`, or with `sac.return_scale` one for each task [tasks]."""
+        if buffer.largest is None:
+            return self.config.sac.reward_scale
+        return return_scale.reward_scale(self.config.sac, buffer.largest)
+
     def item_tasks(self) -> jax.Array:
-        """Returns the task each item of a batch teaches, int32 [n]."""
+        """Returns the task that each item of a batch is scored for, int32 [n]."""
         count = task_count(self.tasks)
         return jnp.repeat(jnp.arange(count), self.config.sac.batch_size // count)
 
     def draw(self, key: jax.Array, updates: int) -> Draws:
         """Draws the randomness of `updates` updates, each leaf [updates, n, …]."""
         n, settings = self.config.sac.batch_size, self.config.replay
-        keys = jax.random.split(key, 7)  # keys[5] is PEARL's
+        keys = jax.random.split(key, 7)  # PEARL's learner uses keys[5]
         source, variant = jnp.broadcast_to(self.item_tasks(), (updates, n)), jnp.zeros((updates, n), jnp.int32)
         if self.symmetry:
             source, variant = own_by_symmetry(self.symmetry, self.tasks, keys[6], source)
         if settings.share_experience:
-            anyone = jax.random.randint(keys[0], (updates, n), 0, task_count(self.tasks))
-            source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, anyone)
+            shared = jax.random.randint(keys[0], (updates, n), 0, task_count(self.tasks))
+            source = jnp.where(jax.random.uniform(keys[1], (updates, n)) < settings.own_share, source, shared)
         place = jax.random.uniform(keys[2], (updates, n))
         return Draws(source, variant, place, self._noise(keys[3], updates), self._noise(keys[4], updates))
 
@@ -89,7 +119,7 @@ class Batches:
         )
 
     def take(self, buffer: Replay, draws: Draws) -> Batch:
-        """Gathers the transitions drawn and scores each for the task it teaches, whichever task it came from."""
+        """Gathers the drawn transitions and scores each for its item's task, whichever task it was collected in."""
         task = self.item_tasks()
         size = buffer.size[draws.source]
         slot = jnp.minimum((draws.place * size).astype(jnp.int32), size - 1)
@@ -97,5 +127,7 @@ class Batches:
         if self.symmetry:
             items = jax.vmap(partial(replay.apply_symmetry, self.symmetry))(draws.variant, items)
         params = jax.tree.map(lambda leaf: leaf[task], self.tasks)
-        reward = self.config.sac.reward_scale * jax.vmap(self.family.reward)(items.outcome, params)
+        scale = self.reward_scale(buffer)
+        scale = scale[task] if isinstance(scale, jax.Array) else scale
+        reward = scale * jax.vmap(self.family.reward)(items.outcome, params)
         return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)

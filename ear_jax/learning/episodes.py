@@ -1,4 +1,4 @@
-"""Whole episodes from random starts: what they return, how long they last and what they achieve."""
+"""Whole episodes from random starts: their returns, lengths and mean outcomes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ear_jax.tasks import TaskParams
 
 @struct.dataclass
 class Episodes:
-    """Episodes [rows, episodes]."""
+    """Results of episodes, each leaf [rows, episodes]."""
 
-    returns: jax.Array
+    returns: jax.Array  # undiscounted
     lengths: jax.Array  # int32, steps until termination or the time limit
-    late: Outcome  # outcomes averaged over the second half of the episode: of a whole one, steps 101–200
-    whole: Outcome  # and over all of it
+    late: Outcome  # outcomes averaged over the second half of each episode
+    whole: Outcome  # outcomes averaged over each episode
 
 
 def play(
@@ -34,16 +34,16 @@ def play(
     episodes: int,
     explore: bool = False,
 ) -> Episodes:
-    """Plays whole episodes, each row under its own code and scored for its own task.
+    """Plays whole episodes; each row acts under its own code and is scored for its own task.
 
     Args:
       family: the environment.
-      agent, policy: who acts.
+      agent, policy: the agent and its policy's parameters.
       codes: [rows, code].
       tasks: each leaf [rows].
-      key: seeds the starts, and the actions if they are drawn.
-      episodes: how many a row.
-      explore: draw actions from the policy instead of taking tanh of its mean.
+      key: random key of the starts, and of the actions if `explore`.
+      episodes: episodes per row.
+      explore: sample actions instead of taking tanh of the policy's mean.
     """
     rows, steps = codes.shape[0], family.episode_length
     key_start, key_noise = jax.random.split(key)
@@ -60,15 +60,15 @@ def play(
     reward = score(family, outcome, tasks, axis=1)
     late = playing & (jnp.arange(1, steps + 1)[:, None, None] > lengths // 2)
 
-    def mean_over(when: jax.Array) -> Outcome:
-        count = jnp.maximum(jnp.sum(when, axis=0), 1)
-        return jax.tree.map(lambda leaf: jnp.sum(jnp.where(when, leaf, 0.0), axis=0) / count, outcome)
+    def mean_over(mask: jax.Array) -> Outcome:
+        count = jnp.maximum(jnp.sum(mask, axis=0), 1)
+        return jax.tree.map(lambda leaf: jnp.sum(jnp.where(mask, leaf, 0.0), axis=0) / count, outcome)
 
     returns = jnp.sum(jnp.where(playing, reward, 0.0), axis=0)
     return Episodes(returns, lengths, mean_over(late), mean_over(playing))
 
 
 def achieved(family: Family, played: Episodes) -> jax.Array:
-    """The commanded quantity [rows], from the mean outcomes of each row's episodes, so that 359° and 1° are 0°."""
+    """Returns the commanded quantity [rows] of each row's mean outcomes; angles of 359° and 1° thus average to 0°."""
     late, whole = (jax.tree.map(lambda leaf: leaf.mean(axis=-1), means) for means in (played.late, played.whole))
     return family.achieved(late, whole)

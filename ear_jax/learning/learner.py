@@ -1,4 +1,4 @@
-"""The interface of a learner: what the training program asks of SAC, PEARL and MAML alike."""
+"""The interface between the training program and a learner: SAC, PEARL or MAML."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Metrics = dict[str, jax.Array]
 
 
 class Learner(Protocol):
-    """Trains one agent on all tasks of a family; states are pytrees, and every method but `check` is traced."""
+    """Trains one agent on all tasks of a family. States are pytrees; every method except `check` is traced."""
 
     def __init__(self, agent: Agent, family: Family, tasks: TaskParams, config: Config): ...
 
-    on_policy: ClassVar[bool]  # an update needs all steps of its epoch
+    on_policy: ClassVar[bool]  # an update learns from all steps of its epoch and from no others
 
     @property
     def agent(self) -> Agent: ...
@@ -30,15 +30,15 @@ class Learner(Protocol):
         """Raises UsageError for settings that cannot train `tasks` tasks."""
 
     def init(self, key: jax.Array) -> Any:
-        """Returns everything that gradients change; `policy` is among it, and `norms` watches it."""
+        """Returns the state that updates change; it has the attributes `policy` and `norms` (scalars by name)."""
 
     def memory(self, env_states: EnvState) -> Any:
-        """Returns an empty store for what environments [tasks, envs] go through."""
+        """Returns empty storage for the experience of environments [tasks, envs]."""
 
     def collect(self, state: Any, memory: Any, env_states: EnvState, key: jax.Array) -> tuple[EnvState, Any, Metrics]:
-        """Steps every task's environments through an epoch and stores what happened."""
+        """Steps every task's environments through an epoch and stores their experience."""
         ...
 
     def learn(self, state: Any, memory: Any, key: jax.Array) -> tuple[Any, Metrics]:
-        """Makes an epoch's updates; `finite_updates` [tasks] counts those before a task's loss was not finite."""
+        """Makes an epoch's updates; `finite_updates` [tasks] counts those before a task's first non-finite loss."""
         ...

@@ -1,6 +1,6 @@
-"""The SAC objectives as free functions of a batch: the parameters differentiated first, data next, noise last.
+"""The SAC objectives as functions of a batch [n]: differentiated parameters come first, then data, then noise.
 
-Equation numbers are the paper's (appendix A). Every batch is [n]; functions of one item are vmapped here.
+Equation numbers are the paper's (appendix A). Functions of one item are vmapped here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ear_jax.learning.batch import Batch, Noise
 def sample_policy(
     policy: Params, agent: Agent, table: jax.Array, obs: jax.Array, task: jax.Array, noise: Noise
 ) -> tuple[jax.Array, jax.Array]:
-    """Samples actions [n, act] and log-densities [n], each under its task's perturbed code (algorithm 1)."""
+    """Samples actions [n, act] and log-densities [n], each under its task's code plus noise (algorithm 1)."""
 
     def one(obs, task, noise):
         code = agent.project(table[task] + agent.code_noise * noise.code)
@@ -30,16 +30,16 @@ def sample_policy(
 
 
 def predictions(critics: Params, critic: Critic, obs: jax.Array, action: jax.Array, task: jax.Array) -> Prediction:
-    """Returns every critic's prediction, each leaf [critics, n, …]; `task` [n, ·] is how critics know the task.
+    """Returns every critic's prediction, each leaf [critics, n, …]; `task` [n, ·] is one-hots or codes.
 
-    Critics are the outer axis: each layer is then one batched matmul without a transposition between.
+    With critics as the outer axis each layer is one batched matmul, and none needs a transposition.
     """
     of_batch = jax.vmap(critic.predict, in_axes=(None, 0, 0, 0))
     return jax.vmap(of_batch, in_axes=(0, None, None, None))(critics, obs, action, task)
 
 
 def q_values(critic: Critic, predictions: Prediction) -> jax.Array:
-    """Returns Q [critics, n] of predictions with these leading axes."""
+    """Returns Q [critics, n] from predictions [critics, n, …]."""
     return jax.vmap(jax.vmap(critic.value))(predictions)
 
 
@@ -51,9 +51,9 @@ def td_target(
     temperature: jax.Array,
     discount: float,
 ) -> jax.Array:
-    """Returns r + γ V̄(s′) with V̄ = Q̄ − α log π (equation 5), and r alone after a termination.
+    """Returns r + γ V̄(s′) with V̄ = Q̄ − α log π (equation 5), or r after a termination.
 
-    A time limit is no termination. For one item: `next_value` may have any shape, the others are scalars.
+    A time limit is not a termination. For one item: `next_value` has any shape, the other arguments are scalars.
     """
     value = next_value - temperature * next_log_prob
     return reward + discount * jnp.where(terminated, 0.0, value)
@@ -71,11 +71,11 @@ def critic_targets(
     """Returns the target of each item, each leaf [n, …].
 
     Args:
-      critic: what a prediction means.
-      next_predictions: the target critics', of the next action, each leaf [critics, n, …].
+      critic: interprets predictions.
+      next_predictions: the target critics' predictions for the next action, each leaf [critics, n, …].
       batch: the transitions.
       next_log_prob: the next action's log-density, [n].
-      temperature: α, [n] or shared.
+      temperature: α, [n] or a scalar.
       discount: γ.
       pessimism: as `aggregate_q`'s.
     """
@@ -97,15 +97,15 @@ def critic_losses(critic: Critic, predictions: Prediction, target: Any) -> jax.A
 
 
 def critic_loss(losses: jax.Array) -> jax.Array:
-    """Returns J_Q (equation 4): losses [critics, n] averaged over the batch, summed over the independent critics."""
+    """Returns J_Q (equation 4): losses [critics, n] averaged over the batch and summed over the critics."""
     return jnp.sum(jnp.mean(losses, axis=-1))
 
 
 def actor_loss(value: jax.Array, log_prob: jax.Array, temperature: jax.Array) -> jax.Array:
-    """Returns J_π (equation 3): the mean of α log π − Q, Q aggregated over critics; all [n]."""
+    """Returns J_π (equation 3), the mean of α log π − Q; Q is aggregated over critics, and all are [n]."""
     return jnp.mean(temperature * log_prob - value)
 
 
 def temperature_loss(log_temperature: jax.Array, log_prob: jax.Array, target_entropy: float) -> jax.Array:
-    """Returns J(α) (equation 2): the mean of −log α (log π + H̄); the logarithm keeps α positive."""
+    """Returns J(α) (equation 2), the mean of −log α (log π + H̄); learning log α keeps α positive."""
     return jnp.mean(-log_temperature * (log_prob + target_entropy))

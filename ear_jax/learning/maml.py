@@ -1,4 +1,4 @@
-"""Model-agnostic meta-learning: parameters are changed so that one gradient step on a task's episodes goes far."""
+"""MAML: updates of shared parameters, so that one gradient step on a task's episodes gives a good policy."""
 
 from __future__ import annotations
 
@@ -27,59 +27,60 @@ from ear_jax.tasks import TaskParams
 
 @struct.dataclass
 class Trial:
-    """Episodes of one task, each of them its first steps from a random start, and how they were acted."""
+    """Episodes of one task from random starts, and the distributions their actions were drawn from."""
 
     obs: jax.Array  # [steps, episodes, obs]
-    raw: jax.Array  # [steps, episodes, act], actions before they were squashed
-    behaviour: Gaussian  # which they were drawn from, each leaf [steps, episodes, act]
+    raw: jax.Array  # [steps, episodes, act], actions before tanh; the name stays, checkpoints store leaves by it
+    behaviour: Gaussian  # the distributions of `raw`, each leaf [steps, episodes, act]
     advantage: jax.Array  # [steps, episodes]
-    valid: jax.Array  # bool [steps, episodes]: the others lie after the episode's end
+    valid: jax.Array  # bool [steps, episodes], False after an episode's end
 
 
 @struct.dataclass
 class Trials:
-    """What one update learns from, each leaf [tasks, …]."""
+    """The episodes of one update, each leaf [tasks, …]."""
 
-    before: Trial  # under the parameters that all tasks begin with
-    after: Trial  # under each task's own, one step from there
+    before: Trial  # under the shared parameters
+    after: Trial  # under each task's adapted parameters
 
 
 @struct.dataclass
 class MamlState:
-    """All that gradients change."""
+    """The parameters that updates change."""
 
     policy: Params
 
     @property
     def norms(self) -> dict[str, jax.Array]:
+        """The global norm of the policy, by name."""
         return {"policy_norm": optax.global_norm(self.policy)}
 
 
 def surrogate(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> jax.Array:
-    """−the mean of π/π_behaviour · advantage over a trial; its gradient where π is the behaviour is REINFORCE's."""
+    """Returns −mean(π/π_behaviour · advantage) over a trial; at π = π_behaviour its gradient is REINFORCE's."""
 
     def ratio(obs: jax.Array, raw: jax.Array, behaviour: Gaussian) -> jax.Array:
         return jnp.exp(_log_density(agent.distribution(policy, code, obs), raw) - _log_density(behaviour, raw))
 
-    better = jax.vmap(jax.vmap(ratio))(trial.obs, trial.raw, trial.behaviour) * trial.advantage
-    return -_mean(better, trial.valid)
+    weighted = jax.vmap(jax.vmap(ratio))(trial.obs, trial.raw, trial.behaviour) * trial.advantage
+    return -_mean(weighted, trial.valid)
 
 
 def divergence(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> jax.Array:
-    """KL divergence of the policy from what a trial was acted by, the mean over its steps."""
+    """Returns KL(behaviour ‖ policy), the mean over a trial's valid steps."""
 
-    def of_step(obs: jax.Array, behaviour: Gaussian) -> jax.Array:
-        now = agent.distribution(policy, code, obs)
-        spread = jnp.exp(2 * (behaviour.log_std - now.log_std))
-        apart = (behaviour.mean - now.mean) ** 2 * jnp.exp(-2 * now.log_std)
-        return jnp.sum(now.log_std - behaviour.log_std + 0.5 * (spread + apart - 1))
+    def step_divergence(obs: jax.Array, behaviour: Gaussian) -> jax.Array:
+        new = agent.distribution(policy, code, obs)
+        variance_ratio = jnp.exp(2 * (behaviour.log_std - new.log_std))
+        shift = (behaviour.mean - new.mean) ** 2 * jnp.exp(-2 * new.log_std)
+        return jnp.sum(new.log_std - behaviour.log_std + 0.5 * (variance_ratio + shift - 1))
 
-    return _mean(jax.vmap(jax.vmap(of_step))(trial.obs, trial.behaviour), trial.valid)
+    return _mean(jax.vmap(jax.vmap(step_divergence))(trial.obs, trial.behaviour), trial.valid)
 
 
 @dataclass(frozen=True)
 class MamlLearner:
-    """Trains an agent whose codes are tuned; it collects and learns as `Learner` does, from one epoch's steps alone."""
+    """Trains an agent whose codes are tuned (`Learner`), on-policy: an update learns from one epoch's episodes."""
 
     agent: Agent
     family: Family
@@ -90,19 +91,19 @@ class MamlLearner:
 
     @staticmethod
     def check(config: Config, tasks: int) -> None:
-        """Raises UsageError for an epoch that is not one update from steps before and after tuning."""
+        """Raises UsageError unless an epoch is one update and its steps can be halved."""
         if config.sac.updates != 1:
-            raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update an epoch")
+            raise UsageError(f"--sac.updates {config.sac.updates} is too many; maml makes one update per epoch")
         if config.collect.steps % 2:
             raise UsageError(
-                f"--collect.steps {config.collect.steps} cannot be halved; maml needs as many before its step"
+                f"--collect.steps {config.collect.steps} is odd; maml takes half of them before its gradient step"
             )
 
     def init(self, key: jax.Array) -> MamlState:
         return MamlState(self.agent.init_policy(key))
 
     def memory(self, env_states: EnvState) -> Trials:
-        """Room for an epoch's trials of such environments [tasks, envs]."""
+        """Returns empty trials for environments [tasks, envs]."""
         rows, episodes = env_states.steps.shape
         shape = (rows, self.config.collect.steps // 2, episodes)
         obs, act = jnp.zeros((*shape, self.family.observation_size)), jnp.zeros((*shape, self.family.action_size))
@@ -110,9 +111,9 @@ class MamlLearner:
         return Trials(empty, empty)
 
     def collect(
-        self, state: MamlState, held: Trials, env_states: EnvState, key: jax.Array
+        self, state: MamlState, memory: Trials, env_states: EnvState, key: jax.Array
     ) -> tuple[EnvState, Trials, dict[str, jax.Array]]:
-        """Half an epoch's steps as all tasks begin, half after a step of each task's own; from fresh starts."""
+        """Plays half an epoch's steps with the shared parameters and half after adapting to each task."""
         key_before, key_after = jax.random.split(key)
         origin = jnp.zeros_like(self.agent.codes(state.policy))
         before, returns_before, invalid_before = self.play(state.policy, origin, self.tasks, key_before)
@@ -126,73 +127,75 @@ class MamlLearner:
         return env_states, Trials(before, after), metrics
 
     def learn(self, state: MamlState, trials: Trials, key: jax.Array) -> tuple[MamlState, dict[str, jax.Array]]:
-        """One step within a trust region around the tuned policies, through their tuning.
+        """Takes one trust-region step of the adapted policies' loss, differentiated through their adaptation.
 
         Returns:
-          The parameters then, with the codes that the same episodes tune them to, and what to watch: scalars, and
-          `finite_updates` [tasks], whether each task's loss was finite.
+          The new state, whose codes are adapted on the same episodes, and metrics: scalars, and `finite_updates`
+          [tasks], 1 if a task's loss was finite.
         """
         policy = state.policy
         start, rebuild = ravel_pytree(policy["networks"])
         origin = jnp.zeros_like(self.agent.codes(policy))
 
-        def moved(parameters: jax.Array) -> tuple[Params, jax.Array]:
+        def adapt(parameters: jax.Array) -> tuple[Params, jax.Array]:
             new = {**policy, "networks": rebuild(parameters)}
             return new, self.tune(new, origin, trials.before)
 
         def by_task(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
-            new, codes = moved(parameters)
-            losses, apart = (jax.vmap(partial(what, self.agent, new)) for what in (surrogate, divergence))
-            return losses(codes, trials.after), apart(codes, trials.after)
+            new, codes = adapt(parameters)
+            losses, divergences = (jax.vmap(partial(measure, self.agent, new)) for measure in (surrogate, divergence))
+            return losses(codes, trials.after), divergences(codes, trials.after)
 
-        def measure(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def over_tasks(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
             return jax.tree.map(jnp.mean, by_task(parameters))
 
-        end, metrics = trust_region.improve(measure, start, self.config.maml.max_divergence)
-        new, codes = moved(end)
+        end, metrics = trust_region.improve(over_tasks, start, self.config.maml.max_divergence)
+        new, codes = adapt(end)
         finite = jnp.isfinite(by_task(start)[0]).astype(jnp.int32)
         return MamlState({**new, "codes": codes}), {**metrics, "finite_updates": finite}
 
     def tune(self, policy: Params, codes: jax.Array, trials: Trial) -> jax.Array:
-        """Each task's code [tasks, code] after a gradient step on its own trial, each leaf [tasks, …]."""
-        step = jax.vmap(jax.grad(partial(surrogate, self.agent, policy)))(codes, trials)
-        return codes - self.config.maml.inner_lr * step
+        """Takes a gradient step of each task's code [tasks, code] on its own trial, each leaf [tasks, …]."""
+        grads = jax.vmap(jax.grad(partial(surrogate, self.agent, policy)))(codes, trials)
+        return codes - self.config.maml.inner_lr * grads
 
     def play(
         self, policy: Params, codes: jax.Array, tasks: TaskParams, key: jax.Array
     ) -> tuple[Trial, jax.Array, jax.Array]:
-        """Tries codes [tasks, code] in the tasks given, drawing actions.
+        """Plays episodes under codes [tasks, code] in the given tasks, with sampled actions.
 
         Returns:
-          Trials, each leaf [tasks, …]; their returns [tasks, episodes]; how many steps were not finite, a scalar.
+          Trials, each leaf [tasks, …]; their returns [tasks, episodes]; the number of invalid steps, a scalar.
         """
         family, collect = self.family, self.config.collect
         key_start, key_noise = jax.random.split(key)
         env_states = BatchedEnv(family).start(key_start, tasks, collect.envs)
         noise = jax.random.normal(key_noise, (collect.steps // 2, len(codes), collect.envs, family.action_size))
-        _, played = rollout(BatchedEnv(family), act_with(self.agent, policy, codes), env_states, noise, _seen)
+        _, played = rollout(BatchedEnv(family), act_with(self.agent, policy, codes), env_states, noise, _record)
 
-        def of_task(task: TaskParams, code: jax.Array, noise: jax.Array, played: Any) -> tuple[Trial, jax.Array]:
-            obs, outcome, over, finite = played  # each [steps, episodes, …]
-            valid = finite & first_episode(over)
+        def to_trial(task: TaskParams, code: jax.Array, noise: jax.Array, played: Any) -> tuple[Trial, jax.Array]:
+            obs, outcome, ended, finite = played  # each [steps, episodes, …]
+            valid = finite & first_episode(ended)
             reward = jax.vmap(jax.vmap(family.reward, in_axes=(0, None)), in_axes=(0, None))(outcome, task)
             behaviour = jax.vmap(jax.vmap(lambda obs: self.agent.distribution(policy, code, obs)))(obs)
             raw = behaviour.mean + jnp.exp(behaviour.log_std) * noise
-            better = advantages(obs, reward, valid, self.config.maml.discount)
-            return Trial(obs, raw, behaviour, better, valid), jnp.sum(jnp.where(valid, reward, 0.0), axis=0)
+            advantage = advantages(obs, reward, valid, self.config.maml.discount)
+            return Trial(obs, raw, behaviour, advantage, valid), jnp.sum(jnp.where(valid, reward, 0.0), axis=0)
 
-        trials, returns = jax.vmap(of_task, in_axes=(0, 0, 1, 1))(tasks, codes, noise, played)
+        trials, returns = jax.vmap(to_trial, in_axes=(0, 0, 1, 1))(tasks, codes, noise, played)
         return trials, returns, jnp.sum(~played[-1], dtype=jnp.float32)
 
 
-def _seen(step: Transition) -> tuple[jax.Array, Any, jax.Array, jax.Array]:
-    return step.obs, step.outcome, step.terminated | step.truncated | ~step.valid, step.valid
+def _record(transition: Transition) -> tuple[jax.Array, Any, jax.Array, jax.Array]:
+    ended = transition.terminated | transition.truncated | ~transition.valid
+    return transition.obs, transition.outcome, ended, transition.valid
 
 
 def _log_density(distribution: Gaussian, raw: jax.Array) -> jax.Array:
-    """Of a raw action [act], up to a constant; how it is squashed makes no difference to a ratio."""
+    """Returns the log-density of `raw` [act] up to a constant; tanh cancels in ratios."""
     return -jnp.sum(0.5 * ((raw - distribution.mean) * jnp.exp(-distribution.log_std)) ** 2 + distribution.log_std)
 
 
 def _mean(values: jax.Array, valid: jax.Array) -> jax.Array:
+    """Averages values where they are valid; 0 if none is."""
     return jnp.sum(jnp.where(valid, values, 0.0)) / jnp.maximum(jnp.sum(valid), 1)

@@ -1,4 +1,4 @@
-"""SAC whose codes are inferred from experience (PEARL): the critics' loss teaches the encoder that infers them.
+"""PEARL: SAC with codes inferred from experience, by an encoder that the critics' loss trains.
 
 Rakelly et al. 2019, arXiv 1903.08254; constants as in the authors' code, katerakelly/oyster.
 """
@@ -20,19 +20,19 @@ from ear_jax.learning.replay import Replay
 from ear_jax.learning.rollout import score
 from ear_jax.learning.sac import CriticStep, SacLearner, SacState
 
-CONTEXT = 100  # steps from which a code is inferred
-PRIOR_SHARE = 0.4  # how often collection acts under a code drawn from the prior
-# Weight of the KL divergence from the prior. Theirs is 0.1 with rewards times 5; scaled with rewards it keeps its
-# part in the critics' loss.
+CONTEXT = 100  # steps that a code is inferred from
+PRIOR_SHARE = 0.4  # probability that collection acts under a code from the prior
+# Weight of the KL divergence from the prior. The authors' is 0.1 for rewards scaled by 5; scaling it with the rewards
+# keeps its share of the critics' loss.
 KL_WEIGHT = 0.1 / 5**2
 
 
 @struct.dataclass
 class PearlDraws(Draws):
-    """A SAC update's randomness, and that of inferring codes."""
+    """The randomness of a SAC update and of inferring its codes."""
 
-    context: jax.Array  # [tasks, steps] in [0, 1): which of a task's newest steps its code is inferred from
-    posterior: jax.Array  # [tasks, code] standard normal: which code is drawn
+    context: jax.Array  # [tasks, steps] in [0, 1): positions among a task's newest steps
+    posterior: jax.Array  # [tasks, code], standard normal
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,19 @@ class PearlLearner(SacLearner):
     """Trains an agent that infers its codes; critics see a task's code in place of its one-hot."""
 
     def observe(self, policy: Params, buffer: Replay) -> Params:
-        """Also sets the code table to the posteriors' means, so that evaluation needs no inference."""
+        """Also stores the posteriors' means as the code table, so that evaluation needs no inference."""
         policy = super().observe(policy, buffer)
         place = jnp.broadcast_to((jnp.arange(CONTEXT) + 0.5) / CONTEXT, (self.task_count, CONTEXT))
         return {**policy, "codes": self.posteriors(policy, buffer, place).mean}
 
     def codes_to_act(self, policy: Params, buffer: Replay, key: jax.Array) -> jax.Array:
-        """Draws each task's code from its posterior, now and then from the prior."""
+        """Draws each task's code from its posterior, or with probability `PRIOR_SHARE` from the prior."""
         key_place, key_prior, key_code = jax.random.split(jax.random.fold_in(key, 1), 3)
         shape = (self.task_count, self.agent.code_size)
-        found = self.posteriors(policy, buffer, jax.random.uniform(key_place, (self.task_count, CONTEXT)))
-        unknown = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape), prior(self.agent.code_size))
-        found = where(jax.random.uniform(key_prior, (self.task_count,)) < PRIOR_SHARE, unknown, found)
-        return found.sample(jax.random.normal(key_code, shape))
+        inferred = self.posteriors(policy, buffer, jax.random.uniform(key_place, (self.task_count, CONTEXT)))
+        priors = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape), prior(self.agent.code_size))
+        mixed = where(jax.random.uniform(key_prior, (self.task_count,)) < PRIOR_SHARE, priors, inferred)
+        return mixed.sample(jax.random.normal(key_code, shape))
 
     def draw(self, key: jax.Array, updates: int) -> PearlDraws:
         draws = super().draw(key, updates)
@@ -65,7 +65,7 @@ class PearlLearner(SacLearner):
         return self.posteriors(policy, buffer, draws.context).sample(draws.posterior)
 
     def codes_of_actor(self, policy: Params, table: jax.Array) -> jax.Array:
-        """Returns the codes as drawn: the actor's loss does not teach the encoder."""
+        """Returns the drawn codes; the actor's loss does not train the encoder."""
         return table
 
     def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
@@ -75,26 +75,28 @@ class PearlLearner(SacLearner):
     def train_critics(
         self, state: SacState, buffer: Replay, draws: Any, batch: Batch, obs: jax.Array, target: Any
     ) -> CriticStep:
-        """Differentiates the critics' loss and the KL divergence from the prior, through the codes as well."""
+        """Differentiates the critics' loss plus the KL divergence from the prior by critics and encoder."""
 
         def objective(critics, policy):
-            found = self.posteriors(policy, buffer, draws.context)
-            kl = jnp.sum(jax.vmap(Posterior.kl_to_prior)(found))
-            task = self.task_input(found.sample(draws.posterior), batch.task)
+            inferred = self.posteriors(policy, buffer, draws.context)
+            task = self.task_input(inferred.sample(draws.posterior), batch.task)
+            kl = jnp.sum(jax.vmap(Posterior.kl_to_prior)(inferred))
             predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
             each = losses.critic_losses(self.critic, predicted, target)
             loss = losses.critic_loss(each) + KL_WEIGHT * self.config.sac.reward_scale**2 * kl
             return loss, (each, losses.q_values(self.critic, predicted))
 
-        of_both = jax.value_and_grad(objective, argnums=(0, 1), has_aux=True)
-        (loss, (each, values)), (grad, policy_grad) = of_both(state.critics, state.policy)
+        differentiate = jax.value_and_grad(objective, argnums=(0, 1), has_aux=True)
+        (loss, (each, values)), (grad, policy_grad) = differentiate(state.critics, state.policy)
         return CriticStep(grad, policy_grad, loss, each, values)
 
     def posteriors(self, policy: Params, buffer: Replay, place: jax.Array) -> Posterior:
-        """Infers each task's code, each leaf [tasks, code], from its newest steps at `place` [tasks, steps]."""
+        """Infers each task's posterior, each leaf [tasks, code], from its newest steps at `place` [tasks, steps]."""
         assert self.agent.infer
         collect = self.config.collect
         items, held = replay.recent(buffer, place, collect.envs * collect.steps)
-        reward = self.config.sac.reward_scale * score(self.family, items.outcome, self.tasks)
+        scale = self.batches.reward_scale(buffer)
+        scale = scale[:, None] if isinstance(scale, jax.Array) else scale
+        reward = scale * score(self.family, items.outcome, self.tasks)
         contexts = Context(items.obs, items.action, reward, held)
         return jax.vmap(self.agent.infer, in_axes=(None, 0))(policy, contexts)

@@ -1,7 +1,8 @@
-"""One ring of transitions per task, holding outcomes rather than rewards, so that any task can score any of them."""
+"""Replay: a ring of transitions per task, with outcomes instead of rewards, so that any task can score them."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -12,44 +13,45 @@ from ear_jax.agents.networks import Standardiser
 from ear_jax.envs.batched_env import Transition
 from ear_jax.envs.symmetry import Symmetry
 
-SAMPLE = 8192  # slots of a ring by which observations are standardised
-MIN_VARIANCE = 1e-4  # of an observation; one that never changes is not blown up
+SAMPLE = 8192  # slots of each ring used to standardise observations
+MIN_VARIANCE = 1e-4  # added to variances, so that constant observations are not divided by 0
 
 
 @struct.dataclass
 class Experience:
-    """What is learnt from a transition."""
+    """The stored part of a transition."""
 
-    obs: jax.Array
-    action: jax.Array
-    next_obs: jax.Array
-    outcome: Any
-    terminated: jax.Array
+    obs: jax.Array  # [obs]
+    action: jax.Array  # [act]
+    next_obs: jax.Array  # [obs]
+    outcome: Any  # scalars by name
+    terminated: jax.Array  # bool
 
 
 @struct.dataclass
 class Replay:
-    """Rings [tasks, capacity] and, per task, how many transitions were ever added."""
+    """Rings of transitions and the total number added to each."""
 
-    rings: Experience
+    rings: Experience  # each leaf [tasks, capacity, …]
     added: jax.Array  # int32 [tasks]
+    largest: jax.Array | None = None  # [tasks]: largest mean reward so far, if rewards are scaled by it
 
     @property
     def size(self) -> jax.Array:
-        """Transitions each ring holds, int32 [tasks]."""
+        """The number of transitions each ring holds, int32 [tasks]."""
         return jnp.minimum(self.added, self.rings.terminated.shape[1])
 
 
-def init(like: Experience, tasks: int, capacity: int) -> Replay:
-    """Empty rings; `like` is one item, arrays or their shapes."""
+def init(like: Experience, tasks: int, capacity: int, scaled: bool = False) -> Replay:
+    """Returns empty rings of `capacity` items each; `like` is one item, `scaled` keeps the largest mean reward."""
     rings = jax.tree.map(lambda leaf: jnp.zeros((tasks, capacity, *leaf.shape), leaf.dtype), like)
-    return Replay(rings, jnp.zeros(tasks, jnp.int32))
+    return Replay(rings, jnp.zeros(tasks, jnp.int32), jnp.zeros(tasks) if scaled else None)
 
 
 def add(replay: Replay, transitions: Transition) -> Replay:
-    """Adds [steps, tasks, envs] transitions, each to the ring of its task, in order of time; invalid ones are left out.
+    """Adds transitions [steps, tasks, envs] to their tasks' rings in order of time, without the invalid ones.
 
-    The oldest are overwritten. At most `capacity` may come at once.
+    The oldest are overwritten. At most `capacity` transitions per task may be added at once.
     """
     experience = Experience(
         transitions.obs, transitions.action, transitions.next_obs, transitions.outcome, transitions.terminated
@@ -62,48 +64,48 @@ def add(replay: Replay, transitions: Transition) -> Replay:
 
 
 def _add_to_ring(replay: Replay, items: Experience, valid: jax.Array) -> Replay:
-    """One task's ring and its new items [n]."""
+    """Adds items [n] to one task's ring."""
     capacity = replay.rings.terminated.shape[0]
     slot = (replay.added + jnp.cumsum(valid) - 1) % capacity
-    slot = jnp.where(valid, slot, capacity)  # past the end: such a write is dropped
+    slot = jnp.where(valid, slot, capacity)  # writes past the end are dropped
     rings = jax.tree.map(lambda ring, item: ring.at[slot].set(item, mode="drop"), replay.rings, items)
-    return Replay(rings, replay.added + jnp.sum(valid, dtype=jnp.int32))
+    return replace(replay, rings=rings, added=replay.added + jnp.sum(valid, dtype=jnp.int32))
 
 
 def gather(replay: Replay, source: jax.Array, slot: jax.Array) -> Experience:
-    """The items in the given slots of the given tasks' rings; `source` and `slot` int32 [n]."""
+    """Returns the items [n] in the given slots of the given tasks' rings; `source` and `slot` are int32 [n]."""
     return jax.tree.map(lambda ring: ring[source, slot], replay.rings)
 
 
 def apply_symmetry(symmetry: Symmetry, variant: jax.Array, item: Experience) -> Experience:
-    """One item as it would be after a turn or a reflection."""
+    """Rotates or mirrors one item."""
     obs, next_obs = symmetry.obs(variant, item.obs), symmetry.obs(variant, item.next_obs)
     action, outcome = symmetry.action(variant, item.action), symmetry.outcome(variant, item.outcome)
     return Experience(obs, action, next_obs, outcome, item.terminated)
 
 
 def recent(replay: Replay, place: jax.Array, window: int) -> tuple[Experience, jax.Array]:
-    """Items among the newest `window` of each task's ring, and whether there are any.
+    """Returns items among the newest `window` of each task's ring.
 
     Args:
       replay: the rings.
-      place: [tasks, n] in [0, 1), where among them: the newest at 0.
-      window: of how many.
+      place: [tasks, n] in [0, 1), positions among them, from the newest at 0.
+      window: the number of newest items.
 
     Returns:
-      Items [tasks, n], and a bool [tasks, n].
+      Items [tasks, n], and a bool [tasks, n], False if the ring is empty.
     """
     held = jnp.minimum(replay.size, window)[:, None]
-    back = 1 + jnp.minimum((place * held).astype(jnp.int32), jnp.maximum(held - 1, 0))
-    slot = (replay.added[:, None] - back) % replay.rings.terminated.shape[1]
+    age = 1 + jnp.minimum((place * held).astype(jnp.int32), jnp.maximum(held - 1, 0))
+    slot = (replay.added[:, None] - age) % replay.rings.terminated.shape[1]
     source = jnp.broadcast_to(jnp.arange(len(place))[:, None], place.shape)
     return gather(replay, source, slot), jnp.broadcast_to(held > 0, place.shape)
 
 
 def standardiser(replay: Replay) -> Standardiser:
-    """The mean and spread of the observations held, of which there are some.
+    """Returns the mean and scale of the observations in replay, which must not be empty.
 
-    Of a long ring every so-manieth counts: all of a million would cost 5 % of an epoch of the `fast` preset.
+    Large rings are subsampled: using all of a million would cost 5 % of an epoch of the `fast` preset.
     """
     stride = max(1, replay.rings.obs.shape[1] // SAMPLE)
     obs = replay.rings.obs[:, ::stride]

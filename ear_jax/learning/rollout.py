@@ -1,4 +1,4 @@
-"""The one roll-out: training, evaluation and everything that uses a trained policy step the grid through it."""
+"""The roll-out used by training, evaluation and all analyses of trained policies."""
 
 from __future__ import annotations
 
@@ -15,59 +15,65 @@ from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
 from ear_jax.envs.family import Family, Outcome
 from ear_jax.tasks import TaskParams
 
-Act = Callable[[jax.Array, jax.Array], jax.Array]
+Act = Callable[[jax.Array, jax.Array], jax.Array]  # obs, noise → action, each [rows, envs, …]
 
 
 def act_with(agent: Agent, policy: Params, codes: jax.Array) -> Act:
-    """A roll-out's policy in which every row of the grid acts under its own code; codes [rows, code]."""
+    """Returns a function that acts under each row's own code; codes [rows, code]."""
 
-    def one(code: jax.Array, obs: jax.Array, noise: jax.Array) -> jax.Array:
+    def act(code: jax.Array, obs: jax.Array, noise: jax.Array) -> jax.Array:
         return squash(agent.distribution(policy, code, obs), noise)
 
-    return lambda obs, noise: jax.vmap(jax.vmap(one, in_axes=(None, 0, 0)))(codes, obs, noise)
+    return lambda obs, noise: jax.vmap(jax.vmap(act, in_axes=(None, 0, 0)))(codes, obs, noise)
 
 
 def rollout(
-    grid: BatchedEnv, act: Act, env_states: EnvState, noise: jax.Array, record: Callable[[Transition], Any]
+    batched_env: BatchedEnv, act: Act, env_states: EnvState, noise: jax.Array, record: Callable[[Transition], Any]
 ) -> tuple[EnvState, Any]:
-    """Steps the grid as often as there is noise.
+    """Steps a batch of environments once for each step of noise.
 
     Args:
-      grid: the environments.
-      act: (obs [rows, envs, obs], noise [rows, envs, act]) → action; with zero noise it takes its most likely action.
-      env_states: where the environments stand, [rows, envs].
-      noise: standard normal, [steps, rows, envs, act].
-      record: what of each transition to keep. Keep little: every step's is stacked.
+      batched_env: the environments.
+      act: (obs [rows, envs, obs], noise [rows, envs, act]) → action [rows, envs, act].
+      env_states: the environments' states, [rows, envs].
+      noise: standard normal, [steps, rows, envs, act]; zeros give tanh of the policy's mean.
+      record: selects the part of each transition to keep. All steps are stacked, so keep little.
 
     Returns:
-      Where the environments stand afterwards, and the record with leading axes [steps, rows, envs].
+      The environments' final states, and the record with leading axes [steps, rows, envs].
     """
 
     def step(env_states: EnvState, noise: jax.Array) -> tuple[EnvState, Any]:
-        env_states, transition = grid.step(env_states, act(env_states.state.obs, noise))
+        env_states, transition = batched_env.step(env_states, act(env_states.state.obs, noise))
         return env_states, record(transition)
 
     return jax.lax.scan(step, env_states, noise)
 
 
 def first_episode(over: jax.Array, axis: int = 0) -> jax.Array:
-    """Marks the steps of each roll-out's first episode, the step that ends it included.
+    """Marks the steps of each roll-out's first episode, including the step that ends it.
 
     Args:
-      over: bool, whether an episode ended with the step.
+      over: bool, True where a step ends an episode.
       axis: the axis of steps.
+
+    Returns:
+      A bool of the same shape.
     """
     return jnp.cumsum(over, axis=axis) - over == 0
 
 
 def score(family: Family, outcome: Outcome, tasks: TaskParams, axis: int = 0) -> jax.Array:
-    """Scores outcomes, each for the task of its row.
+    """Scores outcomes, each for its row's task.
 
     Args:
-      family: whose reward.
+      family: defines the reward.
       outcome: each leaf [..., rows, ...].
       tasks: each leaf [rows].
       axis: the axis of rows.
+
+    Returns:
+      Rewards, shaped as a leaf of `outcome`.
     """
     reward, axes = family.reward, jnp.ndim(jax.tree.leaves(outcome)[0])
     for _ in range(axis + 1, axes):

@@ -1,4 +1,4 @@
-"""Multi-task SAC for any agent: an epoch's collection, its updates, and one update."""
+"""Multi-task SAC for any agent: collection, an epoch's updates and a single update."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from ear_jax.agents.critic import Critic, aggregate_q
 from ear_jax.agents.networks import Params
 from ear_jax.config import Config
 from ear_jax.envs import Family
-from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
-from ear_jax.errors import UsageError
+from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.learning import losses, replay
-from ear_jax.learning.batch import Batch, Batches, Draws, Noise
+from ear_jax.learning.batch import Batch, Batches, Draws, Noise, check_batch
+from ear_jax.learning.exploration import held_noise
 from ear_jax.learning.learner import Metrics
 from ear_jax.learning.optimiser import make_optimiser
 from ear_jax.learning.replay import Experience, Replay
+from ear_jax.learning.return_scale import largest_reward
 from ear_jax.learning.rollout import act_with, rollout
 from ear_jax.tasks import TaskParams, task_count
 
@@ -30,19 +31,19 @@ CRITICS = 2
 
 @struct.dataclass
 class SacState:
-    """Everything that gradients change."""
+    """Parameters, temperature and their optimisers."""
 
     policy: Params
     critics: Params  # each leaf [critics, …]
     target_critics: Params
-    log_temperature: jax.Array  # a scalar, or [tasks] for an agent with a temperature for each task
+    log_temperature: jax.Array  # a scalar, or [tasks] if each task has its own
     policy_optimiser: Any
-    critic_optimiser: Any  # one for each critic, each leaf [critics, …]
+    critic_optimiser: Any  # each leaf [critics, …]
     temperature_optimiser: Any
 
     @property
     def norms(self) -> Metrics:
-        """Global norms; each is not finite as soon as one of its numbers is not."""
+        """Global norms by name; each is finite only if all of its numbers are."""
         return {
             "policy_norm": optax.global_norm(self.policy),
             "critics_norm": optax.global_norm((self.critics, self.target_critics)),
@@ -52,10 +53,10 @@ class SacState:
 
 @struct.dataclass
 class CriticStep:
-    """What training the critics on one batch gives."""
+    """The result of differentiating the critics' loss on one batch."""
 
-    grad: Params
-    policy_grad: Params | None  # of the same loss, where it also teaches part of the policy
+    grad: Params  # each leaf [critics, …]
+    policy_grad: Params | None  # of the same loss, if it also trains part of the policy
     loss: jax.Array  # scalar
     losses: jax.Array  # [critics, n]
     values: jax.Array  # Q [critics, n]
@@ -63,7 +64,7 @@ class CriticStep:
 
 @dataclass(frozen=True)
 class SacLearner:
-    """Trains an agent with critics (`Learner`): the parts of an update that never change."""
+    """Trains an agent with critics (`Learner`)."""
 
     agent: Agent
     family: Family
@@ -74,38 +75,32 @@ class SacLearner:
 
     @staticmethod
     def check(config: Config, tasks: int) -> None:
-        """Raises UsageError for a batch or a replay that does not fit the number of tasks."""
-        if config.sac.batch_size % tasks:
-            lower = max(1, config.sac.batch_size // tasks) * tasks
-            raise UsageError(
-                f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
-                f"try {lower} or {lower + tasks}"
-            )
-        epoch = config.collect.envs * config.collect.steps
-        if config.replay.capacity // tasks < epoch:
-            raise UsageError(
-                f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} "
-                f"steps; it must be at least {tasks * epoch}"
-            )
+        """Raises UsageError for a batch or a replay that does not fit the tasks."""
+        check_batch(config, tasks)
 
     @property
     def task_count(self) -> int:
+        """The number of tasks."""
         return task_count(self.tasks)
 
     @property
     def critic(self) -> Critic:
+        """The agent's critic."""
         assert self.agent.critic, "SAC needs an agent with critics"
         return self.agent.critic
 
     @property
     def batches(self) -> Batches:
+        """The source of batches; a learner that draws other batches overrides it."""
         return Batches(self.family, self.tasks, self.config, self.agent.code_size)
 
     @property
     def optimiser(self) -> optax.GradientTransformation:
+        """The optimiser of policy, critics and temperature; each has its own state."""
         return make_optimiser(self.config.sac)
 
     def init(self, key: jax.Array) -> SacState:
+        """Returns the initial state; target critics start as copies of the critics."""
         key_policy, key_critics = jax.random.split(key)
         policy = self.agent.init_policy(key_policy)
         critics = jax.vmap(self.critic.init)(jax.random.split(key_critics, CRITICS))
@@ -122,11 +117,12 @@ class SacLearner:
         )
 
     def memory(self, env_states: EnvState) -> Replay:
-        """Returns empty rings for what such environments [tasks, envs] go through."""
+        """Returns empty rings for the transitions of environments [tasks, envs]."""
         obs = jnp.zeros(self.family.observation_size)
         outcome = jax.tree.map(lambda leaf: leaf[0, 0], env_states.state.metrics)
+        scaled = self.config.sac.return_scale > 0
         item = Experience(obs, jnp.zeros(self.family.action_size), obs, outcome, jnp.zeros((), bool))
-        return replay.init(item, self.task_count, self.config.replay.capacity // self.task_count)
+        return replay.init(item, self.task_count, self.config.replay.capacity // self.task_count, scaled)
 
     def collect(
         self, state: SacState, buffer: Replay, env_states: EnvState, key: jax.Array
@@ -135,9 +131,12 @@ class SacLearner:
         settings = self.config.collect
         shape = (settings.steps, self.task_count, settings.envs, self.family.action_size)
         act = act_with(self.agent, state.policy, self.codes_to_act(state.policy, buffer, key))
-        noise = jax.random.normal(key, shape)
-        env_states, transitions = rollout(BatchedEnv(self.family), act, env_states, noise, _whole)
+        noise = held_noise(jax.random.normal(key, shape), jax.random.fold_in(key, 2), settings.hold_noise)
+        env_states, transitions = rollout(BatchedEnv(self.family), act, env_states, noise, record=lambda step: step)
         invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
+        if buffer.largest is not None:
+            largest = largest_reward(self.family, self.tasks, transitions, buffer.largest)
+            buffer = replace(buffer, largest=largest)
         return env_states, replay.add(buffer, transitions), {"invalid_steps": invalid}
 
     def codes_to_act(self, policy: Params, buffer: Replay, key: jax.Array) -> jax.Array:
@@ -148,8 +147,8 @@ class SacLearner:
         """Makes an epoch's updates.
 
         Returns:
-          The state afterwards and metrics: scalars averaged over the updates, and `finite_updates` [tasks], the updates
-          before the first in which a task's loss was not finite.
+          The next state and metrics: scalars averaged over the updates, and `finite_updates` [tasks], the number of
+          updates before a task's first non-finite loss.
         """
         state, metrics = jax.lax.scan(
             lambda state, draws: self.update(state, buffer, draws),
@@ -160,7 +159,7 @@ class SacLearner:
         return state, {**jax.tree.map(jnp.mean, metrics), "finite_updates": finite}
 
     def observe(self, policy: Params, buffer: Replay) -> Params:
-        """Sets what of the policy comes from replay and not from gradients: the standardiser, if it is on."""
+        """Sets the parts of the policy computed from replay: the standardiser, if `standardise_obs` is set."""
         if not self.config.network.standardise_obs:
             return policy
         return {**policy, "standardiser": replay.standardiser(buffer)}
@@ -170,11 +169,11 @@ class SacLearner:
         return self.batches.draw(key, updates)
 
     def update(self, state: SacState, buffer: Replay, draws: Draws) -> tuple[SacState, Metrics]:
-        """Takes one step of critics, policy and temperature, all differentiated at the state before it.
+        """Takes one gradient step of critics, policy and temperature, all differentiated at the same state.
 
         Args:
           state: the learner's state.
-          buffer: rings that each hold at least one transition.
+          buffer: the rings, each with at least one transition.
           draws: the randomness of this update.
 
         Returns:
@@ -202,27 +201,32 @@ class SacLearner:
     ) -> tuple[tuple[Params, Params, jax.Array], Metrics]:
         """Returns the gradients of policy, critics and log-temperature, and metrics."""
         batch = self.batches.take(buffer, draws)
-        temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
+        share = self.config.sac.policy_share  # items stand in order of tasks, so every n-th has as many of each
+        task, now = batch.task[::share], jax.tree.map(lambda leaf: leaf[::share], draws.now)
+        temperature = _of_items(jnp.exp(state.log_temperature), task)
         table = self.codes_to_learn(state.policy, buffer, draws)
         target = self._target(state, batch, table, draws.next)
-        obs = state.policy["standardiser"](batch.obs)  # as critics see it
+        obs = state.policy["standardiser"](batch.obs)  # for the critics; the policy standardises its own
         critics = self.train_critics(state, buffer, draws, batch, obs, target)
 
         def actor_objective(policy):
             codes = self.codes_of_actor(policy, table)
-            action, log_prob = losses.sample_policy(policy, self.agent, codes, batch.obs, batch.task, draws.now)
-            seen = losses.predictions(state.critics, self.critic, obs, action, self.task_input(codes, batch.task))
-            value = aggregate_q(losses.q_values(self.critic, seen), self.config.sac.pessimism)
+            action, log_prob = losses.sample_policy(policy, self.agent, codes, batch.obs[::share], task, now)
+            predicted = losses.predictions(
+                state.critics, self.critic, obs[::share], action, self.task_input(table, task)
+            )
+            value = aggregate_q(losses.q_values(self.critic, predicted), self.config.sac.pessimism)
             return losses.actor_loss(value, log_prob, temperature), log_prob
 
         def temperature_objective(log_temperature):
             target_entropy = -float(self.family.action_size)
-            return losses.temperature_loss(_of_items(log_temperature, batch.task), log_prob, target_entropy)
+            return losses.temperature_loss(_of_items(log_temperature, task), log_prob, target_entropy)
 
         (actor_loss, log_prob), policy_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
         if critics.policy_grad is not None:
             policy_grad = jax.tree.map(jnp.add, policy_grad, critics.policy_grad)
-        loss = jnp.sum(critics.losses, axis=0) + log_prob  # [n], task by task
+        each = log_prob if share == 1 else jnp.repeat(log_prob, share)
+        loss = jnp.sum(critics.losses, axis=0) + each  # [n]; not finite if any part of an item's is not
         metrics = {
             "finite": jnp.all(jnp.isfinite(loss).reshape(self.task_count, -1), axis=1),
             "critic_loss": critics.loss,
@@ -236,30 +240,36 @@ class SacLearner:
     def train_critics(
         self, state: SacState, buffer: Replay, draws: Draws, batch: Batch, obs: jax.Array, target: Any
     ) -> CriticStep:
-        """Differentiates the critics' loss on a batch; `obs` [n, obs] is standardised."""
+        """Differentiates the critics' loss on a batch, by LTEs that critics see too; `obs` [n, obs] is standardised."""
 
-        def objective(critics):
-            task = self.task_input(self.agent.codes(state.policy), batch.task)
-            found = losses.predictions(critics, self.critic, obs, batch.action, task)
-            each = losses.critic_losses(self.critic, found, target)
-            return losses.critic_loss(each), (each, losses.q_values(self.critic, found))
+        def objective(critics, policy):
+            task = self.task_input(self.agent.codes(policy), batch.task)
+            predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
+            each = losses.critic_losses(self.critic, predicted, target)
+            return losses.critic_loss(each), (each, losses.q_values(self.critic, predicted))
 
-        (loss, (each, values)), grad = jax.value_and_grad(objective, has_aux=True)(state.critics)
-        return CriticStep(grad, None, loss, each, values)
+        taught = (0,) if self.config.network.critic_task == "onehot" else (0, 1)
+        with_grads = jax.value_and_grad(objective, argnums=taught, has_aux=True)
+        (loss, (each, values)), (grad, *policy_grad) = with_grads(state.critics, state.policy)
+        return CriticStep(grad, policy_grad[0] if policy_grad else None, loss, each, values)
 
     def codes_to_learn(self, policy: Params, buffer: Replay, draws: Draws) -> jax.Array:
-        """Returns the code table [tasks, code] of an update."""
+        """Returns an update's code table [tasks, code]; no gradient reaches the policy through it."""
         return self.agent.codes(policy)
 
     def codes_of_actor(self, policy: Params, table: jax.Array) -> jax.Array:
-        """Returns the code table of the actor's objective, through which its gradient reaches the LTEs."""
+        """Returns the code table of the actor's objective, whose gradient reaches the task encoder through it."""
         return self.agent.codes(policy)
 
     def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
-        """Returns how critics know the tasks of a batch, [n, ·]: by their one-hots."""
-        return jax.nn.one_hot(task, self.task_count)
+        """Returns the critics' input about the tasks of a batch, [n, ·]: one-hots, LTEs or both."""
+        one_hot, kind = jax.nn.one_hot(task, self.task_count), self.config.network.critic_task
+        if kind == "onehot":
+            return one_hot
+        return table[task] if kind == "lte" else jnp.concatenate([one_hot, table[task]], axis=1)
 
     def _target(self, state: SacState, batch: Batch, table: jax.Array, noise: Noise) -> Any:
+        """Returns the critics' target of each item, each leaf [n, …]."""
         action, log_prob = losses.sample_policy(state.policy, self.agent, table, batch.next_obs, batch.task, noise)
         next_obs = state.policy["standardiser"](batch.next_obs)
         task = self.task_input(table, batch.task)
@@ -276,9 +286,5 @@ class SacLearner:
 
 
 def _of_items(temperature: jax.Array, task: jax.Array) -> jax.Array:
-    """Returns each item's temperature, or its logarithm: the shared scalar, or its task's [n]."""
+    """Returns each item's temperature or log-temperature: the shared scalar, or [n] if each task has its own."""
     return temperature[task] if temperature.ndim else temperature
-
-
-def _whole(transition: Transition) -> Transition:
-    return transition

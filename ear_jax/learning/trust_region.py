@@ -1,4 +1,4 @@
-"""One step of trust region policy optimisation, on any loss and divergence of a vector of parameters."""
+"""One step of trust region policy optimisation (TRPO) for any loss and divergence of a parameter vector."""
 
 from __future__ import annotations
 
@@ -9,51 +9,51 @@ import jax.numpy as jnp
 from jax.scipy.sparse.linalg import cg
 
 CG_STEPS, BACKTRACKS, SHRINK = 10, 15, 0.8  # as in tristandeleu/pytorch-maml-rl and jonasrothfuss/ProMP
-# Of the curvature along the gradient. Theirs, 1e-5, is less than what float32 knows of a curvature of 1,000 and more,
-# and lets steps run away along directions that are rounding.
+# Relative to the curvature along the gradient. Theirs, an absolute 1e-5, is below float32's rounding of curvatures of
+# 1,000 and more, so that steps could diverge along directions of pure rounding error.
 DAMPING = 1e-2
 
-Measure = Callable[[jax.Array], tuple[jax.Array, jax.Array]]
+Measure = Callable[[jax.Array], tuple[jax.Array, jax.Array]]  # parameters [n] → loss, divergence
 
 
 def improve(measure: Measure, start: jax.Array, limit: float) -> tuple[jax.Array, dict[str, jax.Array]]:
-    """Goes down the loss as far as the divergence from where it started allows (Schulman et al. 2015, appendix C).
+    """Lowers the loss within a limit on the divergence from the start (Schulman et al. 2015, appendix C).
 
-    The direction is the natural gradient, by conjugate gradients on the divergence's curvature; the step is the longest
-    that the limit allows to second order, and is shortened until loss and divergence agree.
+    The direction is the natural gradient, by conjugate gradients on the divergence's curvature. The step starts at the
+    longest that the limit allows to second order, and is shortened until the loss falls and the limit holds.
 
     Args:
-      measure: parameters → the loss, and the divergence from what `start` gives, whose minimum is there.
+      measure: parameters → the loss, and the divergence from the result of `start`, which is minimal there.
       start: parameters [n].
-      limit: of the divergence.
+      limit: the largest divergence allowed.
 
     Returns:
-      The parameters then, which are `start` where no step would do, and what to watch: the loss before, the divergence
-      after, and the part of the longest step that was taken.
+      The new parameters, which are `start` if no step was accepted, and metrics: the loss before, the divergence after
+      and the share of the longest step that was taken.
     """
-    loss, gradient = jax.value_and_grad(lambda where: measure(where)[0])(start)
+    loss, gradient = jax.value_and_grad(lambda parameters: measure(parameters)[0])(start)
 
     def curvature(vector: jax.Array) -> jax.Array:
-        slope = jax.grad(lambda where: measure(where)[1])
-        return jax.jvp(slope, (start,), (vector,))[1]
+        divergence_grad = jax.grad(lambda parameters: measure(parameters)[1])
+        return jax.jvp(divergence_grad, (start,), (vector,))[1]
 
     along = jnp.vdot(gradient, curvature(gradient)) / jnp.maximum(jnp.vdot(gradient, gradient), 1e-12)
     damping = DAMPING * jnp.maximum(along, 1e-6)
     direction, _ = cg(lambda vector: curvature(vector) + damping * vector, -gradient, tol=1e-10, maxiter=CG_STEPS)
-    bend = jnp.vdot(direction, curvature(direction) + damping * direction)
-    longest = jnp.sqrt(2 * limit / jnp.maximum(bend, 1e-12)) * direction
+    quadratic = jnp.vdot(direction, curvature(direction) + damping * direction)
+    longest = jnp.sqrt(2 * limit / jnp.maximum(quadratic, 1e-12)) * direction
 
-    def refused(tried: tuple[jax.Array, jax.Array]) -> jax.Array:
-        times, accepted = tried
-        return ~accepted & (times < BACKTRACKS)
+    def rejected(search: tuple[jax.Array, jax.Array]) -> jax.Array:
+        backtracks, accepted = search
+        return ~accepted & (backtracks < BACKTRACKS)
 
-    def shorten(tried: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        times, _ = tried
-        reached, divergence = measure(start + SHRINK**times * longest)
-        accepted = (reached < loss) & (divergence <= limit)
-        return jnp.where(accepted, times, times + 1), accepted
+    def backtrack(search: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        backtracks, _ = search
+        new_loss, divergence = measure(start + SHRINK**backtracks * longest)
+        accepted = (new_loss < loss) & (divergence <= limit)
+        return jnp.where(accepted, backtracks, backtracks + 1), accepted
 
-    times, accepted = jax.lax.while_loop(refused, shorten, (jnp.int32(0), jnp.zeros((), bool)))
-    part = jnp.where(accepted, SHRINK**times, 0.0)
-    end = start + jnp.where(accepted, part * longest, 0.0)
-    return end, {"loss": loss, "divergence": measure(end)[1], "step": part}
+    backtracks, accepted = jax.lax.while_loop(rejected, backtrack, (jnp.int32(0), jnp.zeros((), bool)))
+    step = jnp.where(accepted, SHRINK**backtracks, 0.0)
+    end = start + jnp.where(accepted, step * longest, 0.0)
+    return end, {"loss": loss, "divergence": measure(end)[1], "step": step}

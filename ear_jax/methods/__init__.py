@@ -1,4 +1,4 @@
-"""The methods, one file each: a `Method` named METHOD. Adding one is that file and its line in `FILES`."""
+"""The methods, one file each, which defines METHOD. Adding a method takes that file and a line in `FILES`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ METHODS: dict[str, Method] = {
 
 
 def find_method(name: str) -> Method:
-    """Returns a method by name; raises UsageError if there is none."""
+    """Returns a method by name; raises UsageError for an unknown name."""
     if name not in METHODS:
         raise unknown("agent", name, METHODS)
     return METHODS[name]

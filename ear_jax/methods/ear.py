@@ -14,7 +14,7 @@ from ear_jax.methods.method import Method, Sizes
 
 
 def ear(sizes: Sizes, config: Config) -> Agent:
-    """Builds EAR-SAC (paper, section 3.1): ψ(φ(s), LTE), both embeddings on unit spheres, critics given the one-hot.
+    """Builds EAR-SAC (paper, section 3.1): ψ(φ(s), LTE), both embeddings on unit spheres; critics see the one-hot.
 
     `sac.lte_noise` is the σ of the noise added to an LTE before it is normalised again (algorithm 1).
     """
@@ -24,6 +24,8 @@ def ear(sizes: Sizes, config: Config) -> Agent:
     task_widths, gathered = (network.task_width,) * network.task_layers, network.lte_start == "gathered"
     task_encoder = mlp(sizes.tasks, task_widths, network.lte_size, network, gathered=gathered)
     decoder = mlp(network.lse_size + network.lte_size, widths * network.decoder_layers, 2 * sizes.action, network)
+    task_sizes = {"onehot": sizes.tasks, "lte": network.lte_size, "both": sizes.tasks + network.lte_size}
+    task_size = task_sizes[network.critic_task]
     on_lse_sphere = unit_vector if network.normalise_lse else lambda lse: lse
     on_lte_sphere = unit_vector if network.normalise_lte else lambda lte: lte
 
@@ -51,7 +53,7 @@ def ear(sizes: Sizes, config: Config) -> Agent:
         codes=codes,
         project=on_lte_sphere,
         distribution=distribution,
-        critic=task_critic(sizes.obs, sizes.action, sizes.tasks, network),
+        critic=task_critic(sizes.obs, sizes.action, task_size, config),
         code_noise=config.sac.lte_noise,
         on_sphere=network.normalise_lte,
         embed=embed,

@@ -1,4 +1,4 @@
-"""Recurrent EAR: the state encoder and the action decoder each begin with an RNN layer."""
+"""Recurrent EAR: the state encoder and the action decoder each start with an RNN layer."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ear_jax.methods.method import Method, Sizes
 def ear_rnn(sizes: Sizes, config: Config) -> Agent:
     """Builds EAR-SAC with RNN layers (paper, appendix B); task encoder and critics are EAR's.
 
-    The policy reads the last `network.history` observations anew at every step, from a state of zeros. All but the last
-    are its burn-in, through which gradients pass too, so no hidden state is stored or can go stale. Critics see the
-    last observation. The RNN layers are the first of `encoder_layers` and of `decoder_layers`.
+    At every step the policy reads the last `network.history` observations from a hidden state of zeros. All but the
+    last are burn-in, and gradients pass through them too. No hidden state is stored, so none can be out of date.
+    Critics see the last observation. The RNN layers count in `encoder_layers` and `decoder_layers`.
     """
     network = config.network
     size, width = sizes.obs // network.history, network.width
@@ -47,11 +47,11 @@ def ear_rnn(sizes: Sizes, config: Config) -> Agent:
     def embed_all(policy: Params, obs: jax.Array) -> jax.Array:
         """Returns the LSEs [history, lse]."""
         hidden = apply(policy, "encoder_rnn", obs.reshape(network.history, size))
-        return jax.vmap(lambda one: on_lse_sphere(apply(policy, "encoder", one)))(hidden)
+        return jax.vmap(lambda state: on_lse_sphere(apply(policy, "encoder", state)))(hidden)
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
-        seen = jax.vmap(lambda lse: jnp.concatenate([lse, code]))(embed_all(policy, obs))
-        return gaussian(apply(policy, "decoder", apply(policy, "decoder_rnn", seen)[-1]))
+        inputs = jax.vmap(lambda lse: jnp.concatenate([lse, code]))(embed_all(policy, obs))
+        return gaussian(apply(policy, "decoder", apply(policy, "decoder_rnn", inputs)[-1]))
 
     def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
         return critic.predict(params, obs[-size:], action, task)
@@ -66,7 +66,7 @@ def ear_rnn(sizes: Sizes, config: Config) -> Agent:
 
 
 def check(config: Config) -> None:
-    """Raises UsageError where there is no layer for an RNN to be the first of."""
+    """Raises UsageError for an encoder or decoder without layers, whose first would be the RNN."""
     for name in ("encoder_layers", "decoder_layers"):
         if getattr(config.network, name) < 1:
             raise UsageError(f"{flag(f'network.{name}')} 0 is too small for ear-rnn, whose first layer is its RNN")
@@ -78,7 +78,7 @@ METHOD = Method(
     ear_rnn,
     presets={
         "paper": _HISTORY,
-        # An update takes 4.5 times as long as EAR's, and an hour of one core has room for no more epochs.
+        # An update takes 4.5 times as long as EAR's; an hour of one core allows no more epochs.
         "fast": {**_HISTORY, "epochs": 110, "sac": {"lr_decay": 44_000}},
         "smoke": _HISTORY,
     },

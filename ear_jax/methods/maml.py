@@ -1,4 +1,4 @@
-"""MAML: parameters from which one policy-gradient step leads to a task's own."""
+"""MAML: shared parameters that one policy-gradient step adapts to a task."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, Method, Siz
 
 
 def maml(sizes: Sizes, config: Config) -> Agent:
-    """Builds the policy of MAML (Finn et al. 2017, arXiv 1703.03400): tanh layers, and a spread that is a parameter.
+    """Builds the policy of MAML (Finn et al. 2017, arXiv 1703.03400): tanh layers, and a learnt σ for all states.
 
-    A task's code is the offset of its parameters from those that all tasks start with. Tuning a policy to a task is so
-    one more way to a new code, and whatever uses a policy needs to know nothing of it. There are no critics. `width`
-    and `decoder_layers` are the policy's. Matmuls stay float32: the curvature an update follows takes a forward-mode
-    derivative, which the bfloat16 product has not.
+    A task's code is the offset of its parameters from the shared ones. Adapting to a task thus yields a code like any
+    other method, and users of a policy need not know how. There are no critics. `width` and `decoder_layers` are the
+    policy's. Matmuls stay float32: the update's curvature needs a forward-mode derivative, which the bfloat16 matmul
+    does not have.
     """
     network = replace(config.network, matmul="float32")
     mean = mlp(sizes.obs, (network.width,) * network.decoder_layers, sizes.action, network, activation=jnp.tanh)
@@ -52,9 +52,11 @@ def maml(sizes: Sizes, config: Config) -> Agent:
 _OF_SAC = (
     *(f"sac.{name}" for name in ("lr", "lr_decay", "discount", "pessimism", "tau", "batch_size")),
     *(f"sac.{name}" for name in ("reward_scale", "initial_temperature", "max_grad_norm")),
+    *(f"sac.{name}" for name in ("policy_share", "return_scale", "weight_decay")),
+    "collect.hold_noise",
     *("network.critic_*", "network.standardise_obs", "replay.*"),
 )
-# An update needs fresh episodes of all tasks, before and after tuning: 20 of each.
+# An update needs fresh episodes of all tasks: 20 before and 20 after adaptation.
 _EPISODES: dict[str, Any] = {
     "network": {"width": 64, "decoder_layers": 2, "initialiser": "fan_in", "standardise_obs": False},
     "sac": {"updates": 1, "lr_decay": 0},

@@ -1,4 +1,4 @@
-"""A method, told in one place: what it builds, who trains it, what it leaves unread, its presets and its checks."""
+"""The interface of a method: its agent, its learner, the settings it ignores, its presets and its checks."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from ear_jax.learning.sac import SacLearner
 OF_MAML = ("maml.*",)
 OF_EMBEDDINGS = (
     *("sac.lte_noise", "network.normalise_*"),
-    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers")),
+    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task")),
 )
 OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """The sizes that networks are built for."""
+    """Sizes of the networks' inputs and outputs."""
 
-    obs: int  # numbers in what an agent sees, all `network.history` observations together
+    obs: int  # the agent's input, `network.history` observations together
     action: int
     tasks: int
 
@@ -40,11 +40,11 @@ class Method:
 
     name: str
     build: Callable[[Sizes, Config], Agent]
-    learner: type[Learner] = SacLearner
-    unread: tuple[str, ...] = OF_MAML  # patterns of settings that neither it nor its learner reads
-    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # preset → what it changes there
-    check: Callable[[Config], None] = _accept  # raises UsageError for settings it cannot work with
+    learner: type[Learner] = SacLearner  # trains the agent
+    unread: tuple[str, ...] = OF_MAML  # patterns of settings that neither the agent nor the learner reads
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # preset → settings changed for this method
+    check: Callable[[Config], None] = _accept  # raises UsageError for settings it does not support
 
     def reads(self, setting: str) -> bool:
-        """Returns whether a setting, such as `sac.lr`, changes anything."""
+        """Returns whether a setting, such as `sac.lr`, has an effect on this method."""
         return not any(fnmatch(setting, pattern) for pattern in self.unread)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax.agents import Agent
-from ear_jax.agents.critic import Critic, critic_network
+from ear_jax.agents.critic import critic_network, make_critic
 from ear_jax.agents.networks import Params, mlp
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config
@@ -14,22 +14,24 @@ from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_MAML, Me
 
 
 def multihead(sizes: Sizes, config: Config) -> Agent:
-    """Builds MHMT-SAC (paper, section 4.1): a task's code is its one-hot, which picks a head of the policy.
+    """Builds MHMT-SAC (paper, section 4.1): a task's code is its one-hot, which selects a head of the policy.
 
-    Nothing lies between two heads, so any other code is projected to the one-hot of its largest number. The heads are
-    the last layer of one network, side by side; a head that is not picked gets no gradient. `decoder_layers` and
-    `critic_layers` are the depths without the heads.
+    Heads cannot be blended, so any other code is projected to the one-hot of its largest number. The heads together are
+    the last layer of one network; those not selected get no gradient. `decoder_layers` and `critic_layers` are the
+    depths without the heads.
     """
     network, tasks = config.network, sizes.tasks
     actor = mlp(sizes.obs, (network.width,) * network.decoder_layers, tasks * 2 * sizes.action, network)
-    critic = critic_network(sizes.obs + sizes.action, tasks, network)
+    bins = network.critic_bins
+    critic = critic_network(sizes.obs + sizes.action, tasks * (bins or 1), network)
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
         heads = actor.apply(policy, obs).reshape(tasks, 2 * sizes.action)
         return gaussian(jnp.sum(code[:, None] * heads, axis=0))
 
     def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
-        return jnp.sum(task * critic.apply(params, jnp.concatenate([obs, action])))
+        heads = critic.apply(params, jnp.concatenate([obs, action]))
+        return task @ heads.reshape(tasks, bins) if bins else jnp.sum(task * heads)
 
     return Agent(
         code_size=tasks,
@@ -37,7 +39,7 @@ def multihead(sizes: Sizes, config: Config) -> Agent:
         codes=lambda policy: jnp.eye(tasks),
         project=lambda code: jax.nn.one_hot(jnp.argmax(code), tasks),
         distribution=distribution,
-        critic=Critic(critic.init, predict),
+        critic=make_critic(critic.init, predict, config),
         own_temperatures=True,
     )
 

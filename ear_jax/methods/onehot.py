@@ -1,4 +1,4 @@
-"""OHE-SAC: the task's one-hot beside the observation, with no embedding of either."""
+"""OHE-SAC: a policy of the observation and the task's one-hot, without embeddings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNREAD = (*OF_MAML, *OF_EMBEDDINGS, *OF_A_TASK_ENCODER)
 def onehot(sizes: Sizes, config: Config) -> Agent:
     """Builds OHE-SAC (paper, section 4.1), whose codes are one-hots.
 
-    Other codes lie on the unit sphere, where the authors' code searches them too
+    Other codes are unit vectors, as in the search of the authors' code
     (piao-0429/ear_tmp, starter/adaptation/adapt_vel_mt.py).
     """
     network = config.network
@@ -33,7 +33,7 @@ def onehot(sizes: Sizes, config: Config) -> Agent:
         codes=lambda policy: jnp.eye(sizes.tasks),
         project=unit_vector,
         distribution=distribution,
-        critic=task_critic(sizes.obs, sizes.action, sizes.tasks, network),
+        critic=task_critic(sizes.obs, sizes.action, sizes.tasks, config),
         on_sphere=True,
     )
 

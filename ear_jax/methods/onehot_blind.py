@@ -1,4 +1,4 @@
-"""OHE-SAC with its one-hot zeroed: the return that is possible without knowing the task."""
+"""OHE-SAC with its one-hot zeroed: a baseline that does not know the task."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ear_jax.methods.onehot import UNREAD, onehot
 def onehot_blind(sizes: Sizes, config: Config) -> Agent:
     """Builds OHE-SAC whose policy and critics see zeros in place of the one-hot.
 
-    The authors' older code trains this by mistake: its replay holds zeros there, so the paper's returns of OHE-SAC are
-    those of a task-blind policy.
+    The authors' older code trains this by mistake, as its replay stores zeros for the one-hot. The paper's returns of
+    OHE-SAC are therefore those of a task-blind policy.
     """
     seeing = onehot(sizes, config)
     assert seeing.critic

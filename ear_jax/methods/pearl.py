@@ -1,4 +1,4 @@
-"""PEARL: the task's code is inferred from experience in the task."""
+"""PEARL: a task's code is inferred from experience in the task."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ MIN_VARIANCE = 1e-7  # of the factor of a single step
 def pearl(sizes: Sizes, config: Config) -> Agent:
     """Builds PEARL (Rakelly et al. 2019, arXiv 1903.08254; katerakelly/oyster) for this trainer.
 
-    An encoder maps each step (s, a, r) to a factor, and the product of factors is the posterior over the task's code.
-    Critics see a sampled code in place of the one-hot, and their loss trains the encoder; the policy sees it without a
-    gradient. The original has a state value and a fixed temperature; here critics and temperature are SAC's.
-    `task_width` and `task_layers` are the encoder's, `lte_size` is the code's.
+    An encoder maps each step (s, a, r) to a factor; the product of factors is the posterior over the task's code.
+    Critics see a sampled code in place of the one-hot, and their loss trains the encoder. The policy sees the code
+    without passing gradients to it. The original has a state value and a fixed temperature; here critics and
+    temperature are SAC's. `task_width` and `task_layers` are the encoder's, `lte_size` is the code's size.
     """
     network, size = config.network, config.network.lte_size
     task_widths = (network.task_width,) * network.task_layers
@@ -50,7 +50,7 @@ def pearl(sizes: Sizes, config: Config) -> Agent:
         codes=lambda policy: jnp.zeros((sizes.tasks, size)),
         project=lambda code: code,
         distribution=distribution,
-        critic=task_critic(sizes.obs, sizes.action, size, network),
+        critic=task_critic(sizes.obs, sizes.action, size, config),
         infer=infer,
     )
 

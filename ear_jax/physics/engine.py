@@ -14,10 +14,10 @@ ENGINES = ("native", "mjx", "warp")
 
 
 def choose_engine(name: str) -> str:
-    """Resolves `auto` by the backend JAX runs on, and refuses what cannot run there.
+    """Resolves `auto` by JAX's backend and refuses an engine that cannot run on it.
 
     Raises:
-      UsageError: there is no such engine.
+      UsageError: the engine is unknown.
       RunError: the engine does not run on this backend.
     """
     backend = jax.default_backend()
@@ -27,7 +27,7 @@ def choose_engine(name: str) -> str:
         raise unknown("engine", name, ("auto", *ENGINES))
     if name == "native" and backend != "cpu":
         raise RunError(
-            f"engine 'native' steps on the CPU, and JAX runs on {backend} here; use 'mjx' or JAX_PLATFORMS=cpu"
+            f"engine 'native' steps on the CPU, but JAX runs on {backend} here; use 'mjx' or JAX_PLATFORMS=cpu"
         )
     return name
 
@@ -35,18 +35,18 @@ def choose_engine(name: str) -> str:
 def make_engine(
     name: str, model: mujoco.MjModel, substeps: int, bodies: tuple[str, ...], mjx_solver: tuple[int, int]
 ) -> Engine:
-    """An engine for one model.
+    """Builds an engine for one model.
 
     Args:
       name: an engine of `ENGINES`, or `auto`.
       model: the compiled model.
       substeps: MuJoCo steps in one environment step.
       bodies: names of the bodies whose positions each step reports.
-      mjx_solver: solver and line-search iterations that MJX is held to (C MuJoCo stops by itself; MJX under `vmap`
-        always pays for the slowest simulation).
+      mjx_solver: limits on MJX's solver and line-search iterations. C MuJoCo stops once converged, but MJX under `vmap`
+        always waits for the slowest simulation.
 
     Raises:
-      UsageError: there is no such engine or body.
+      UsageError: the engine or a body is unknown.
       RunError: the engine does not run here.
     """
     body_ids = [_body_id(model, body) for body in bodies]

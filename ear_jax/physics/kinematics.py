@@ -1,4 +1,4 @@
-"""Where bodies are, from generalised positions alone; the same on every engine."""
+"""Positions of bodies, computed from generalised positions alone and so the same on every engine."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy as np
 
 from ear_jax.process.silent_imports import mjx
 
-_product = partial(jnp.matmul, precision="highest")  # where the default rounds to 10 bits, as on a GPU
+_matmul = partial(jnp.matmul, precision="highest")  # a GPU's default rounds mantissas to 10 bits
 
 
 def body_positions(model: mujoco.MjModel, body_ids: list[int]) -> Callable[[jax.Array], jax.Array]:
     """Maps qpos [nq] to the positions [bodies, 3] of the given bodies, metres, by MJX's kinematics.
 
-    Engines do not tell them: after `mj_step` MuJoCo's positions lag one substep behind its state, and refreshing them
-    there (all of `mj_fwdPosition`, collisions too) costs the native engine a tenth of its speed.
+    The engines' own positions cannot be used: after `mj_step` they lag one substep behind the state. Refreshing them
+    (all of `mj_fwdPosition`, collisions included) would cost the native engine a tenth of its speed.
     """
     if not body_ids:
         return lambda qpos: jnp.zeros((0, 3))
@@ -29,47 +29,47 @@ def body_positions(model: mujoco.MjModel, body_ids: list[int]) -> Callable[[jax.
 
 
 def body_points(model: mujoco.MjModel, points: Sequence[tuple[str, np.ndarray]]) -> Callable[[jax.Array], jax.Array]:
-    """Maps qpos [nq] to where points of bodies are, [points, 3] metres; each is a body and a place [3] on it.
+    """Maps qpos [nq] to the positions [points, 3] of points on bodies, metres; a point is a body and an offset [3].
 
-    The bodies hang from hinges and slides. MJX's kinematics tell it too, but XLA's CPU compiler fuses a chain of links
-    and computes each anew for all that come after: for an arm of seven joints a call took seconds. A matmul a link
-    keeps them apart.
+    All joints must be hinges or slides. MJX's kinematics are not used here: XLA's CPU compiler fuses the chain of links
+    and recomputes each link for every later one, so a call took seconds for an arm of seven joints. One matmul per link
+    prevents that fusion.
     """
-    needed: set[int] = set()
+    chain: set[int] = set()
     for name, _ in points:
         body = model.body(name).id
         while body:
-            needed.add(body)
+            chain.add(body)
             body = int(model.body_parentid[body])
 
     def positions(qpos: jax.Array) -> jax.Array:
         frames = {0: (jnp.zeros(3), jnp.eye(3))}
-        for body in sorted(needed):  # a parent's number is less than its children's
-            frames[body] = _hang(model, body, *frames[int(model.body_parentid[body])], qpos)
-        at = [(*frames[model.body(name).id], place) for name, place in points]
-        return jnp.stack([origin + _product(rotation, place) for origin, rotation, place in at])
+        for body in sorted(chain):  # a parent's id is below its children's
+            frames[body] = _body_frame(model, body, *frames[int(model.body_parentid[body])], qpos)
+        located = [(*frames[model.body(name).id], offset) for name, offset in points]
+        return jnp.stack([origin + _matmul(rotation, offset) for origin, rotation, offset in located])
 
     return positions
 
 
-def _hang(
+def _body_frame(
     model: mujoco.MjModel, body: int, origin: jax.Array, rotation: jax.Array, qpos: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Where a body is and how it is turned, from the same of its parent; it has at most one joint, at its origin."""
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.body_quat[body])
-    origin, rotation = origin + _product(rotation, model.body_pos[body]), _product(rotation, turn.reshape(3, 3))
+    """Returns a body's origin and rotation from its parent's; the body has at most one joint, at its origin."""
+    relative = np.zeros(9)
+    mujoco.mju_quat2Mat(relative, model.body_quat[body])
+    origin, rotation = origin + _matmul(rotation, model.body_pos[body]), _matmul(rotation, relative.reshape(3, 3))
     if not model.body_jntnum[body]:
         return origin, rotation
     joint = model.body_jntadr[body]
-    axis, moved = model.jnt_axis[joint], qpos[model.jnt_qposadr[joint]]
+    axis, value = model.jnt_axis[joint], qpos[model.jnt_qposadr[joint]]
     if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
-        return origin + _product(rotation, axis) * moved, rotation
-    return origin, _product(rotation, _about(axis, moved))
+        return origin + _matmul(rotation, axis) * value, rotation
+    return origin, _matmul(rotation, _rotation(axis, value))
 
 
-def _about(axis: np.ndarray, angle: jax.Array) -> jax.Array:
-    """The rotation [3, 3] about a unit vector (Rodrigues)."""
+def _rotation(axis: np.ndarray, angle: jax.Array) -> jax.Array:
+    """Returns the rotation [3, 3] about a unit vector (Rodrigues' formula)."""
     x, y, z = axis
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return jnp.eye(3) + jnp.sin(angle) * across + (1 - jnp.cos(angle)) * (across @ across)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return jnp.eye(3) + jnp.sin(angle) * cross + (1 - jnp.cos(angle)) * (cross @ cross)

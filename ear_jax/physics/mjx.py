@@ -1,4 +1,4 @@
-"""MuJoCo XLA: the whole step on the device, by its JAX implementation or by NVIDIA Warp's kernels."""
+"""MuJoCo XLA: the whole step runs on the device, in JAX or in NVIDIA Warp's kernels."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ear_jax.physics.kinematics import body_positions
 from ear_jax.physics.state import Motion, Physics
 from ear_jax.process.silent_imports import mjx
 
-# Warp allocates contacts for all simulations of a batch at once and constraints for each; our robots touch the ground
-# with at most 8 and 128 of these.
+# Warp allocates contacts for the whole batch together and constraints for each simulation. Our robots need at most 8
+# contacts and 128 constraints each.
 WARP_CONTACTS = 8 * 65_536
 WARP_CONSTRAINTS = 128
 
 
 class MjxEngine:
-    """Steps with `mujoco.mjx`, without the host."""
+    """Steps with `mujoco.mjx`, without calling the host."""
 
     def __init__(self, model: mujoco.MjModel, substeps: int, body_ids: list[int], solver: tuple[int, int], name: str):
         model = copy.copy(model)
@@ -35,7 +35,7 @@ class MjxEngine:
         data = self._blank.replace(qpos=physics.qpos, qvel=physics.qvel, qacc_warmstart=physics.warmstart, ctrl=action)
         if physics.mocap is not None:
             data = data.replace(mocap_pos=physics.mocap)
-        with jax.default_matmul_precision("highest"):  # a GPU's default would round its operands to 10 bits
+        with jax.default_matmul_precision("highest"):  # a GPU's default rounds mantissas to 10 bits
             data, _ = jax.lax.scan(lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps)
         after = Physics(data.qpos, data.qvel, data.qacc_warmstart, physics.mocap)
         return Motion(physics, action, after, self._positions(data.qpos))
@@ -50,6 +50,6 @@ def _warp(model: mujoco.MjModel) -> tuple[Any, Any]:
         raise RunError("engine 'warp' needs NVIDIA's warp-lang, which is not installed: pip install 'ear-jax[warp]'")
     import warp
 
-    warp.config.quiet = True  # it would print every kernel it compiles on stdout
+    warp.config.quiet = True  # otherwise it prints every kernel it compiles on stdout
     data = mjx.make_data(model, impl="warp", naconmax=WARP_CONTACTS, njmax=WARP_CONSTRAINTS)
     return mjx.put_model(model, impl="warp"), data

@@ -1,4 +1,4 @@
-"""The robots: Gymnasium's own MuJoCo models, found in the installed package and never copied."""
+"""Gymnasium's MuJoCo models, read from the installed package and never copied."""
 
 from __future__ import annotations
 
@@ -10,17 +10,23 @@ import mujoco
 from ear_jax.errors import RunError, unknown
 
 
+def package_directory(name: str) -> Path | None:
+    """Returns an installed package's directory without importing it; None if it is not installed."""
+    spec = importlib.util.find_spec(name)
+    return Path(spec.submodule_search_locations[0]) if spec and spec.submodule_search_locations else None
+
+
 def gymnasium_model_path(filename: str) -> Path:
-    """Where the installed `gymnasium` keeps a model, found without importing its environments.
+    """Returns the path of a model in the installed `gymnasium`, without importing its environments.
 
     Raises:
       UsageError: it has no such model.
       RunError: it is not installed.
     """
-    spec = importlib.util.find_spec("gymnasium")
-    if spec is None or not spec.submodule_search_locations:
+    package = package_directory("gymnasium")
+    if package is None:
         raise RunError("the models come from the 'gymnasium' package, which is not installed: pip install gymnasium")
-    path = Path(spec.submodule_search_locations[0]) / "envs" / "mujoco" / "assets" / filename
+    path = package / "envs" / "mujoco" / "assets" / filename
     if not path.is_file():
         raise unknown("model", filename, [model.name for model in path.parent.glob("*.xml")])
     return path
@@ -29,12 +35,12 @@ def gymnasium_model_path(filename: str) -> Path:
 def load_model(filename: str) -> mujoco.MjModel:
     """Compiles one of Gymnasium's models, e.g. `half_cheetah.xml`.
 
-    `settotalmass` is deprecated and MuJoCo would complain into a MUJOCO_LOG.TXT in the user's directory, so the mass
-    is set on the compiled model instead, with identical constants.
+    MuJoCo warns about the deprecated `settotalmass` in a MUJOCO_LOG.TXT in the user's directory. The mass is therefore
+    set on the compiled model, with identical constants.
 
-    Since 3.17 MuJoCo adds the contact margins of the two geoms that meet, where 3.3 and before took the larger. All
-    geoms of one of these models have the same, so half of it is the physics the models were made for; with the whole
-    the ant would stand 1 cm higher.
+    A contact's margin is the sum of its two geoms' margins since MuJoCo 3.17, and was the larger one up to 3.3. All
+    geoms of these models have equal margins, so halving them restores the intended physics; otherwise the ant stands
+    1 cm higher.
     """
     spec = mujoco.MjSpec.from_file(str(gymnasium_model_path(filename)))
     total_mass = spec.compiler.settotalmass

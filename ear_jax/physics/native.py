@@ -19,43 +19,40 @@ from ear_jax.physics.state import Motion, Physics
 
 
 class NativeEngine:
-    """Steps with `mujoco.batch`: whatever is vmapped over `step` arrives here as one batch.
+    """Steps with `mujoco.batch`; all simulations that `step` is vmapped over arrive in one call.
 
-    The callback gets XLA's own buffers, reads and writes them in place and never calls JAX. `jax.pure_callback` would
-    copy each argument through `device_put`, which costs 5 % of the cheetah's step and can deadlock when the callback
-    waits for the very thread pool it blocks.
+    The callback reads and writes XLA's buffers in place and never calls JAX. `jax.pure_callback` would copy each
+    argument through `device_put`, which costs 5 % of the cheetah's step and can deadlock: the copy may need the thread
+    pool that the callback blocks.
     """
 
     name = "native"
 
     def __init__(self, model: mujoco.MjModel, substeps: int, body_ids: list[int]):
         self._model = copy.copy(model)
-        # A state that is no longer finite stays so, as it does in MJX, instead of being reset in silence.
+        # As in MJX, a state that is not finite stays so; by default C MuJoCo would silently reset it.
         self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._substeps = substeps
         self._positions = body_positions(model, body_ids)
         if mujoco.get_mju_user_warning() is None:
             mujoco.set_mju_user_warning(_ignore)
-        self._lock = threading.Lock()  # a step lets go of the GIL, and another thread or device may call meanwhile
-        self._pools: dict[int, _Pool] = {}  # by number of simulations: a pool holds its threads and MjData
+        self._lock = threading.Lock()  # a step releases the GIL, so another thread or device may call
+        self._pools: dict[int, _Pool] = {}  # by number of simulations; each holds threads and MjData
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
-        def like(*shape: int) -> jax.ShapeDtypeStruct:
-            return jax.ShapeDtypeStruct(shape, jnp.float32)
-
         model = self._model
-        results = (like(model.nq), like(model.nv), like(model.nv))
+        results = tuple(jax.ShapeDtypeStruct((size,), jnp.float32) for size in (model.nq, model.nv, model.nv))
         step = buffer_callback(self._step_batch, results, vmap_method="broadcast_all")
-        moved = () if physics.mocap is None else (physics.mocap,)
-        qpos, qvel, warmstart = step(physics.qpos, physics.qvel, physics.warmstart, action, *moved)
+        mocap = () if physics.mocap is None else (physics.mocap,)
+        qpos, qvel, warmstart = step(physics.qpos, physics.qvel, physics.warmstart, action, *mocap)
         return Motion(physics, action, Physics(qpos, qvel, warmstart, physics.mocap), self._positions(qpos))
 
     def _step_batch(self, context, outputs, *inputs) -> None:
-        """Runs on the host with the buffers of the whole batch; leading axes are whatever was vmapped."""
+        """Runs on the host with the buffers of the whole batch, whose leading axes are the vmapped ones."""
         arrays = [np.asarray(buffer) for buffer in inputs]
         count = math.prod(arrays[0].shape[:-1])
         with self._lock:
-            pool = self._pools.get(count) or self._open(count)
+            pool = self._pools.get(count) or self._make_pool(count)
             for field, array in zip(pool.inputs, arrays, strict=True):
                 field[...] = array.reshape(field.shape)
             pool.batch.step(nstep=self._substeps)
@@ -63,21 +60,21 @@ class NativeEngine:
                 buffer = np.asarray(output)
                 buffer.reshape(field.shape)[...] = field
 
-    def _open(self, count: int) -> _Pool:
+    def _make_pool(self, count: int) -> _Pool:
         batch = Batch(self._model, count)
         state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
-        moved = (batch.mocap_pos,) if self._model.nmocap else ()
-        self._pools[count] = _Pool(batch, (*state, batch.ctrl, *moved), state)
+        mocap = (batch.mocap_pos,) if self._model.nmocap else ()
+        self._pools[count] = _Pool(batch, (*state, batch.ctrl, *mocap), state)
         return self._pools[count]
 
 
 def _ignore(warning: str) -> None:
-    """MuJoCo would write each into a MUJOCO_LOG.TXT in the user's directory; the grid counts unsound steps instead."""
+    """Keeps MuJoCo from writing a MUJOCO_LOG.TXT in the user's directory; `BatchedEnv` marks invalid steps instead."""
 
 
 @dataclass(frozen=True)
 class _Pool:
-    """Simulations with views of their state: looking one up costs as much as copying it."""
+    """Simulations with views of their state, kept because looking up a view costs as much as copying it."""
 
     batch: Batch
     inputs: tuple[np.ndarray, ...]  # each [simulations, size], float64

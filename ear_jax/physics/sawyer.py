@@ -1,41 +1,41 @@
-"""Meta-World's Sawyer arm, found in the installed package, as a model that MJX can step."""
+"""Meta-World's Sawyer arm, read from the installed package and reduced to a model that MJX can step."""
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 
 import mujoco
 
 from ear_jax.errors import RunError
+from ear_jax.physics.models import package_directory
 
-HAND_START = (0.0, 0.6, 0.2)  # metres: where Meta-World leads the hand before an episode
-MOCAP_TURN = (1.0, 0.0, 1.0, 0.0)  # quaternion: the gripper points down
+HAND_START = (0.0, 0.6, 0.2)  # metres: the hand's position when an episode starts
+GRIPPER_DOWN = (1.0, 0.0, 1.0, 0.0)  # quaternion of the mocap body
 INSTALL = "pip install 'ear-jax[reach]'"
-_CLAWS = ("rightclaw_it", "leftclaw_it")  # the only shapes that inertia is computed from
+_CLAWS = ("rightclaw_it", "leftclaw_it")  # the only geoms that inertia is computed from
 
 
 def reach_model_path() -> Path:
-    """Where the installed `metaworld` keeps its scene for reaching, found without importing it.
+    """Returns the path of the reaching scene in the installed `metaworld`, without importing it.
 
     Raises:
-      RunError: it is not installed, or has no such scene.
+      RunError: it is not installed or has no such scene.
     """
-    spec = importlib.util.find_spec("metaworld")
-    if spec is None or not spec.submodule_search_locations:
+    package = package_directory("metaworld")
+    if package is None:
         raise RunError(f"the arm comes from the 'metaworld' package, which is not installed: {INSTALL}")
-    path = Path(spec.submodule_search_locations[0]) / "assets" / "sawyer_xyz" / "sawyer_reach_v3.xml"
+    path = package / "assets" / "sawyer_xyz" / "sawyer_reach_v3.xml"
     if not path.is_file():
-        raise RunError(f"this 'metaworld' has no {path.name}: {INSTALL}")
+        raise RunError(f"the installed 'metaworld' has no {path.name}: {INSTALL}")
     return path
 
 
 def load_arm() -> mujoco.MjModel:
-    """The arm alone, led by the hand: 7 hinges, 2 fingers that slide, and a mocap body that the hand is welded to.
+    """Compiles the arm alone: 7 hinges, 2 sliding fingers and a mocap body that the hand is welded to.
 
-    Table, puck, walls and all shapes but the claws go, and with them every contact; inertias stay. So the arm moves as
-    in the whole scene, to rounding, where it touches nothing there: not the puck, which may stand below where the hand
-    starts, nor a wall. MJX takes neither the shapes nor the elliptic cone.
+    Table, puck, walls and all geoms except the claws are removed, and so is every contact; inertias are kept. The arm
+    moves as in the full scene, up to rounding, as long as it would touch nothing there: neither a wall nor the puck,
+    which may lie below the hand's start. MJX supports neither the removed geoms nor the elliptic friction cone.
     """
     spec = _scene()
     for geom in list(spec.geoms):
@@ -55,22 +55,22 @@ def load_arm() -> mujoco.MjModel:
 
 
 def draw_arm() -> mujoco.MjModel:
-    """The same arm, of the same qpos, with its shapes and the table before it, turned to face one who looks along y."""
+    """Compiles the arm for pictures: same qpos, with its geoms and the table, rotated to face a camera along y."""
     spec = _scene()
     for name in ("obj", "RetainingWall", "mocap"):
         spec.delete(spec.body(name))
     for body in spec.worldbody.bodies:
         x, y, z = body.pos
-        body.pos, body.quat = (-x, -y, z), (0, 0, 0, 1)  # by half a turn; none was turned before
+        body.pos, body.quat = (-x, -y, z), (0, 0, 0, 1)  # half a turn; no body had a rotation before
     return spec.compile()
 
 
 def _scene() -> mujoco.MjSpec:
-    """Meta-World's scene with its weld: the hand is held where the mocap body is, and as it is turned."""
+    """Returns Meta-World's scene, in which a weld holds the hand at the mocap body's position and orientation."""
     spec = mujoco.MjSpec.from_file(str(reach_model_path()))
-    spec.body("mocap").quat = MOCAP_TURN
+    spec.body("mocap").quat = GRIPPER_DOWN
     (weld,) = spec.equalities
     weld.data[:3] = 0  # anchor
     weld.data[3:10] = (0, 0, 0, -1, 0, 0, 0)  # relative pose
-    weld.data[10] = 5  # of the torque
+    weld.data[10] = 5  # torque scale
     return spec

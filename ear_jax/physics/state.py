@@ -1,4 +1,4 @@
-"""The simulation state that all engines share, and what one step of it yields."""
+"""The simulation state that all engines share, and the result of one step."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from flax import struct
 
 @struct.dataclass
 class Physics:
-    """One simulation's MuJoCo state: all that a step reads, the same on every engine, so a run can change engines."""
+    """One simulation's MuJoCo state, the same on every engine, so that a run can change engines."""
 
     qpos: jax.Array  # [nq] generalised positions
     qvel: jax.Array  # [nv] generalised velocities
     warmstart: jax.Array  # [nv] last acceleration, from which the constraint solver starts
-    mocap: jax.Array | None = None  # [nmocap, 3] metres: where bodies stand that are moved by hand, in models with such
+    mocap: jax.Array | None = None  # [nmocap, 3] metres, positions of mocap bodies in models that have them
 
 
 @struct.dataclass
 class Motion:
-    """One environment step of one simulation, as a family judges it."""
+    """One environment step of one simulation, from which a family computes its outcome."""
 
     before: Physics
     action: jax.Array  # [nu] control held during the step
     after: Physics
-    positions: jax.Array  # [bodies, 3] metres: where the family's tracked bodies are in `after`
+    positions: jax.Array  # [bodies, 3] metres, of the family's tracked `bodies` in `after`
 
 
 class Engine(Protocol):

@@ -1,7 +1,7 @@
-"""Trained agents that ship with the package: NAME.safetensors and beside it NAME.json, its card. Imports no JAX.
+"""Agents that ship with the package: NAME.safetensors and its card NAME.json. Imports no JAX.
 
-`pretrained:NAME` stands wherever a command takes a run; `trained.load` is where it is resolved. A card is written by
-`python -m experiments publish` and tells how the agent was trained, what it reaches, and the file's SHA-256.
+Commands accept `pretrained:NAME` in place of a run, which `trained.load` resolves. `python -m experiments publish`
+writes the cards: training settings, results and the file's SHA-256.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ FOLDER = Path(__file__).parent
 
 
 def names() -> list[str]:
-    """The agents there are, in the order of the alphabet."""
+    """Returns the names of all agents, sorted."""
     return sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
 def card(name: str) -> dict[str, Any]:
-    """An agent's card.
+    """Returns an agent's card.
 
     Raises:
       UsageError: there is no such agent.
@@ -35,14 +35,14 @@ def card(name: str) -> dict[str, Any]:
     try:
         document = json.loads(path.read_bytes())
         if not isinstance(document["sha256"], str):
-            raise ValueError("'sha256' is no text")
+            raise ValueError("'sha256' is not a string")
         return document
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
 
 
 def find(name: str) -> Path:
-    """An agent's file, once it is known to be the one that its card tells of.
+    """Returns the path of an agent's file after comparing its SHA-256 with the card's.
 
     Raises:
       UsageError: there is no such agent.
@@ -51,14 +51,14 @@ def find(name: str) -> Path:
     path = FOLDER / f"{name}.safetensors"
     expected = card(name)["sha256"]
     try:
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise RunError(f"cannot read {path}: {error.strerror}") from None
-    if found != expected:
+    if digest != expected:
         raise RunError(f"{path} is not the file that shipped: its SHA-256 differs from its card's")
     return path
 
 
 def results(name: str) -> Path:
-    """Where what is found out about an agent is kept: under the working directory, as the package may be read-only."""
+    """Returns the directory of an agent's analyses, under the working directory as the package may be read-only."""
     return Path("runs") / f"pretrained-{name}"

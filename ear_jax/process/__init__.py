@@ -1,1 +1,1 @@
-"""How this process runs: JAX's options, the terminal, signals, and imports that print."""
+"""The process: JAX's options, the terminal, signals, and imports that print."""

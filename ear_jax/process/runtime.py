@@ -1,4 +1,4 @@
-"""How this process runs JAX: compiler options, a private compilation cache, and what memory there is."""
+"""JAX in this process: compiler options, a private compilation cache and the memory available."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import jax
 
 
 def cache_dir() -> Path:
-    """Where compiled programs are kept between runs. XLA trusts what it finds there, so it is the user's alone."""
+    """Returns the directory of compiled programs; XLA trusts its contents, so only the user may write there."""
     base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(os.environ.get("EAR_JAX_CACHE") or Path(base) / "ear_jax") / "xla"
 
 
 def enable_cache() -> None:
-    """Turns JAX's persistent compilation cache on unless the user has set one; does without where it cannot be."""
+    """Turns on JAX's persistent compilation cache, unless the user set one or the directory cannot be used."""
     if getattr(jax.config, "jax_compilation_cache_dir", None):
         return
     directory = cache_dir()
@@ -32,25 +32,24 @@ def enable_cache() -> None:
 
 
 def compiler_options(matmul: str = "float32") -> dict[str, Any]:
-    """Options for every compiled program of ours.
+    """Returns the compiler options of a program.
 
-    On the CPU the time goes to matmuls and to MuJoCo, which LLVM does not touch: optimising less compiles the training
-    step 1.5 to 2 times faster, and it runs as fast. YNNPACK makes use of AMX, so where there is that it has the single
-    matmuls of what learns in bfloat16. With float32 it is up to a seventh slower at that, and its fusions of matmuls
-    with what follows them cost more than they save: with jaxlib 0.10.2 an update under `vmap` takes 1.4 times as long
-    with them, with 0.12 the same.
+    On the CPU most time goes to matmuls and MuJoCo, which LLVM does not optimise. A lower optimisation level compiles
+    the training step 1.5 to 2 times faster and runs as fast. YNNPACK uses AMX, so it gets the single bfloat16 matmuls
+    on processors that have it. For float32 it is up to a seventh slower. Its fusions of a matmul with later operations
+    cost more than they save: an update under `vmap` takes 1.4 times as long (jaxlib 0.10.2 and 0.12).
 
     Args:
-      matmul: what most of the program's matmuls multiply, as in `network.matmul`.
+      matmul: the precision of most of the program's matmuls, as in `network.matmul`.
     """
     if jax.default_backend() != "cpu":
         return {}
-    fused = "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT" if matmul == "bfloat16" and has_amx() else ""
-    return {"xla_backend_optimization_level": 1, "xla_cpu_experimental_ynn_fusion_type": fused}
+    fusion = "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT" if matmul == "bfloat16" and has_amx() else ""
+    return {"xla_backend_optimization_level": 1, "xla_cpu_experimental_ynn_fusion_type": fusion}
 
 
 def has_amx() -> bool:
-    """Whether the processor multiplies bfloat16 matrices by an instruction of its own (Linux tells; no: not known)."""
+    """Returns True if the processor has AMX instructions for bfloat16 matrices; known on Linux only."""
     try:
         return "amx_bf16" in Path("/proc/cpuinfo").read_text().split()
     except OSError:
@@ -58,15 +57,15 @@ def has_amx() -> bool:
 
 
 def tree_bytes(tree: Any) -> int:
-    """The size of a pytree of arrays or of their shapes."""
+    """Returns the size in bytes of a pytree of arrays or of their shapes."""
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
 
 
 def available_bytes(devices: int = 1) -> int | None:
-    """Memory that arrays can take on so many of JAX's devices together, or None where it cannot be told."""
+    """Returns the bytes free for arrays on the first `devices` devices together, or None if unknown."""
     stats = [device.memory_stats() for device in jax.local_devices()[:devices]]
-    if all(one and "bytes_limit" in one for one in stats):
-        return devices * min(one["bytes_limit"] - one.get("bytes_in_use", 0) for one in stats)
+    if all(memory and "bytes_limit" in memory for memory in stats):
+        return devices * min(memory["bytes_limit"] - memory.get("bytes_in_use", 0) for memory in stats)
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:

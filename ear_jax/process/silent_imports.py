@@ -1,4 +1,4 @@
-"""Imports that print: MuJoCo XLA, which Brax imports too, says on stdout that Warp is missing and would spoil JSON."""
+"""Imports whose output is discarded: MuJoCo XLA reports on stdout that Warp is missing, which would corrupt JSON."""
 
 from __future__ import annotations
 

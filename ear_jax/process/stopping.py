@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: asked once, a run saves at the next block and stops; asked twice, it leaves at once."""
+"""Ctrl-C and SIGTERM: after the first a run saves at the end of its block and stops; a second ends it immediately."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from types import TracebackType
 from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-SHOW_CURSOR = b"\x1b[?25h"  # which a progress bar had hidden
+SHOW_CURSOR = b"\x1b[?25h"  # the progress bar hides it
 
 
 class Stopped(Exception):
-    """The run was asked to stop and has saved; `exit_code` is the shell's for the signal (130 or 143)."""
+    """A signal stopped the run after it saved; `exit_code` is the shell's for that signal (130 or 143)."""
 
     def __init__(self, number: int):
         self.exit_code = 128 + number
@@ -22,10 +22,10 @@ class Stopped(Exception):
 
 
 class StopRequest:
-    """While entered, remembers the first signal that asks to stop instead of dying of it.
+    """A context that records the first stop signal instead of ending the process.
 
-    Python runs a signal's handler only between two steps of the main thread, which spends a whole block inside a
-    compiled program. So a thread of its own hears of signals, through the pipe the interpreter writes them to.
+    Python runs signal handlers only between bytecodes of the main thread, which spends a whole block inside a compiled
+    program. A separate thread therefore reads signals from the pipe that the interpreter writes them to.
     """
 
     def __init__(self, announce: Callable[[str], None]):
@@ -33,31 +33,31 @@ class StopRequest:
         self._announce = announce
 
     def __enter__(self) -> StopRequest:
-        self._pipe, writing = os.pipe()
-        os.set_blocking(writing, False)
-        self._before: dict[int, Any] = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
-        self._writing, self._written_before = writing, signal.set_wakeup_fd(writing)
+        self._read_end, self._write_end = os.pipe()
+        os.set_blocking(self._write_end, False)
+        self._old_handlers: dict[int, Any] = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
+        self._old_wakeup_fd = signal.set_wakeup_fd(self._write_end)
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        signal.set_wakeup_fd(self._written_before)
-        for number, handler in self._before.items():
+        signal.set_wakeup_fd(self._old_wakeup_fd)
+        for number, handler in self._old_handlers.items():
             signal.signal(number, handler)
-        os.close(self._writing)  # ends the thread
+        os.close(self._write_end)  # ends the thread
         self._thread.join()
-        os.close(self._pipe)
+        os.close(self._read_end)
 
     def _listen(self) -> None:
-        while byte := os.read(self._pipe, 1):
+        while byte := os.read(self._read_end, 1):
             if byte[0] in SIGNALS:
-                self._ask(byte[0])
+                self._handle(byte[0])
 
-    def _ask(self, number: int) -> None:
+    def _handle(self, number: int) -> None:
         if self.signal is not None:
             if os.isatty(2):
                 os.write(2, SHOW_CURSOR)
-            os._exit(128 + number)  # in the middle of a save too: a step is whole or not there
+            os._exit(128 + number)  # safe during a save, which is atomic
         self.signal = number
-        self._announce("stopping after this block; once more to leave at once")
+        self._announce("stopping after this block; a second signal stops immediately")

@@ -1,4 +1,4 @@
-"""What a person sees while a command works: a live line on a terminal, plain lines in a pipe. All of it on stderr."""
+"""Progress on stderr: a live line on a terminal, plain lines otherwise."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ console = Console(stderr=True, highlight=False)
 
 
 def say(line: str) -> None:
+    """Prints one line."""
     console.print(line, markup=False, soft_wrap=True)
 
 
 @contextmanager
 def phase(name: str) -> Iterator[None]:
-    """Shows that something slow is under way, and afterwards how long it took."""
+    """Shows a name while something slow runs, then the seconds it took."""
     began = time.perf_counter()
     with console.status(name):
         yield
@@ -26,7 +27,7 @@ def phase(name: str) -> Iterator[None]:
 
 
 class TrainingBar:
-    """Epochs done, with what the last block reached. Entered only around the training loop."""
+    """A progress bar of epochs with the last block's return and speed."""
 
     def __init__(self, done: int, epochs: int):
         self._plain = not console.is_terminal
@@ -51,7 +52,7 @@ class TrainingBar:
         self._bar.stop()
 
     def update(self, epoch: int, mean_return: float, env_steps_rate: float, updates_rate: float) -> None:
-        """Tells what a block reached, in environment steps and updates a second."""
+        """Shows a block's mean return and its environment steps and updates per second."""
         text = f"return {mean_return:.1f} · {env_steps_rate:,.0f} steps/s · {updates_rate:,.0f} updates/s"
         self._bar.update(self._task, completed=epoch, description=text)
         if self._plain:

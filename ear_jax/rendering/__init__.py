@@ -1,1 +1,1 @@
-"""Pictures of the robot: films, strips and the page to explore."""
+"""Pictures of the robot: films, stop-motion strips and the page of `ear explore`."""

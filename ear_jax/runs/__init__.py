@@ -1,1 +1,1 @@
-"""A training run: what is compiled, the host loop around it, and everything it leaves on the disk."""
+"""A training run: its compiled program, the host loop and its files on disk."""

@@ -1,8 +1,8 @@
-"""Saving and restoring whole training states through Orbax. The only module that calls it.
+"""Saving and restoring training states through Orbax, which only this module calls.
 
-A step is a directory named by its epoch: `state/`, Orbax's; `about.json`, what the run is and what the state holds; and
-a manifest of checksums over both. It is written beside its place and then given its name, so it is there whole or not
-at all; which step is the newest good one is found by looking.
+A step is a directory named by its epoch. It holds Orbax's `state/`, `about.json` (the run and the layout of its state)
+and a manifest of checksums. It is written under a temporary name and then renamed, so a step is complete or absent. The
+newest good step is found by listing the directory and verifying checksums.
 """
 
 from __future__ import annotations
@@ -24,53 +24,53 @@ from ear_jax.errors import RunError
 from ear_jax.runs import manifest, records
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 
-logging.getLogger("absl").setLevel(logging.CRITICAL)  # Orbax narrates every save; what fails it raises too
-_say_unraisable = sys.unraisablehook
+logging.getLogger("absl").setLevel(logging.CRITICAL)  # Orbax logs every save; failures are also raised
+_default_unraisablehook = sys.unraisablehook
 
 
-def _but_stray_writes(unraisable: sys.UnraisableHookArgs) -> None:
-    """Says that an exception could not be raised, as before, but for one.
+def _ignore_closed_loop(unraisable: sys.UnraisableHookArgs) -> None:
+    """Reports exceptions that cannot be raised, except those of writes that Orbax abandoned.
 
-    Orbax gives up at the first write that fails and closes its event loop, and each of TensorStore's writes that are
-    still under way complains of that.
+    Orbax closes its event loop at the first failed write, and each pending write of TensorStore then fails with
+    "Event loop is closed".
     """
     if str(unraisable.exc_value) != "Event loop is closed":
-        _say_unraisable(unraisable)
+        _default_unraisablehook(unraisable)
 
 
-sys.unraisablehook = _but_stray_writes
+sys.unraisablehook = _ignore_closed_loop
 
 FORMAT = 1
-KEEP = 2  # newest steps kept
+KEEP = 2  # number of newest steps to keep
 
 
 @dataclass(frozen=True)
 class Step:
-    """A step found whole."""
+    """A step whose checksums hold."""
 
     epoch: int
     path: Path
-    about: dict[str, Any]  # what `save` was told, and the state's layout
+    about: dict[str, Any]  # the `about` given to `save`, and the state's layout
 
 
 def save(directory: Path, epoch: int, state: Any, about: dict[str, Any]) -> None:
-    """Writes a step, whole or not at all, and then drops those that are no longer kept.
+    """Writes a step atomically, then deletes the steps that need not be kept.
 
     Args:
       directory: the run's `checkpoints`.
       epoch: the step's name.
-      state: any pytree of arrays, random keys included.
-      about: what else to know of it, as JSON holds it.
+      state: any pytree of arrays, including random keys.
+      about: a JSON document that describes the run.
 
     Raises:
-      RunError: it could not be written; the steps before are as they were.
+      RunError: the step could not be written; earlier steps are unchanged.
     """
     final, scratch = directory / str(epoch), directory / f".{epoch}.part"
     leaves = named_leaves(state)
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        for torn in directory.glob(".*.part"):  # of processes that were killed
-            shutil.rmtree(torn)
+        for leftover in directory.glob(".*.part"):  # from processes that were killed
+            shutil.rmtree(leftover)
         scratch.mkdir()
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as orbax:
             orbax.save((scratch / "state").absolute(), leaves)
@@ -79,41 +79,41 @@ def save(directory: Path, epoch: int, state: Any, about: dict[str, Any]) -> None
         manifest.write(scratch)
         shutil.rmtree(final, ignore_errors=True)
         os.replace(scratch, final)
-    except Exception as error:  # Orbax and TensorStore raise whatever the disk's trouble becomes on its way up
+    except Exception as error:  # Orbax and TensorStore wrap disk errors in many types
         shutil.rmtree(scratch, ignore_errors=True)
         raise RunError(f"the checkpoint of epoch {epoch} could not be written: {_reason(error)}") from error
-    found = steps(directory)
-    good = [step for step in found if step <= epoch]  # a run goes on from its newest good step: later ones are damaged
-    for old in {*found} - {*kept(good)}:
+    present = steps(directory)
+    good = [step for step in present if step <= epoch]  # later steps are damaged, or the run would have resumed there
+    for old in {*present} - {*kept(good)}:
         shutil.rmtree(directory / str(old), ignore_errors=True)
 
 
 def kept(epochs: Sequence[int]) -> list[int]:
-    """Of ascending steps those to keep: the newest two, and for ever the first past every doubling of the epochs.
+    """Selects the steps to keep from ascending ones: the newest two, and the first at or after each power of two.
 
-    The latter are few enough, 7 of the 80 that 4,000 epochs save.
+    The latter are few: 7 of the 80 steps of 4,000 epochs.
     """
     first = {epoch.bit_length(): epoch for epoch in reversed(epochs)}
     return sorted({*epochs[-KEEP:], *first.values()})
 
 
 def steps(directory: Path) -> list[int]:
-    """The epochs of the finished steps, ascending, good or not."""
+    """Returns the epochs of all finished steps, ascending, including damaged ones."""
     if not directory.is_dir():
         return []
-    found = (path for path in directory.iterdir() if path.name.isdecimal() and not path.is_symlink())
-    return sorted(int(path.name) for path in found if path.is_dir())
+    named = (path for path in directory.iterdir() if path.name.isdecimal() and not path.is_symlink())
+    return sorted(int(path.name) for path in named if path.is_dir())
 
 
 def newest(directory: Path, warn: Callable[[str], None]) -> Step | None:
-    """The newest step that is whole, or None where there are no steps.
+    """Returns the newest undamaged step, or None if there are no steps.
 
     Args:
       directory: the run's `checkpoints`.
-      warn: told of each newer step that is damaged, and what it is that is wrong with it.
+      warn: called with a line for each newer step that is damaged.
 
     Raises:
-      RunError: there are steps, and all of them are damaged.
+      RunError: all steps are damaged.
     """
     faults: list[str] = []
     for epoch in reversed(steps(directory)):
@@ -125,24 +125,24 @@ def newest(directory: Path, warn: Callable[[str], None]) -> Step | None:
             return Step(epoch, path, _read_about(path))
         faults.append(f"{path} is damaged: {fault}")
     if faults:
-        others = f", and {len(faults) - 1} older with it" if len(faults) > 1 else ""
-        raise RunError(f"{faults[0]}{others}; no good checkpoint is left (move {directory} away to start anew)")
+        others = f", and {len(faults) - 1} older too" if len(faults) > 1 else ""
+        raise RunError(f"{faults[0]}{others}; no good checkpoint is left (move {directory} away to start from scratch)")
     return None
 
 
 def restore(step: Step, like: Any, partly: bool = False) -> Any:
-    """Reads a step.
+    """Reads a step's state.
 
     Args:
-      step: which.
+      step: the step to read.
       like: the state's structure, of arrays or their shapes.
-      partly: `like` may lack parts of what was saved, which are then not read.
+      partly: allow `like` to lack parts of the saved state, which are then not read.
 
     Returns:
       The state, on JAX's default device.
 
     Raises:
-      RunError: it holds something else.
+      RunError: the saved state has another structure, or cannot be read.
     """
     wanted = named_leaves(like)
     difference = first_difference(layout(wanted), step.about["leaves"], partly)
@@ -152,21 +152,21 @@ def restore(step: Step, like: Any, partly: bool = False) -> Any:
     request = ocp.args.PyTreeRestore(item=wanted, restore_args=arguments, partial_restore=partly)
     try:
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as orbax:
-            found = orbax.restore((step.path / "state").absolute(), request)
+            arrays = orbax.restore((step.path / "state").absolute(), request)
     except Exception as error:
         raise RunError(f"{step.path} cannot be read: {_reason(error)}") from error
-    return rebuild(like, found)
+    return rebuild(like, arrays)
 
 
 def _read_about(path: Path) -> dict[str, Any]:
     about = json.loads((path / "about.json").read_text())
     if about.get("format") != FORMAT:
-        raise RunError(f"{path} has format {about.get('format')}, and this version of ear_jax reads {FORMAT}")
+        raise RunError(f"{path} has format {about.get('format')}, but this version of ear_jax reads {FORMAT}")
     return about
 
 
 def _reason(error: Exception) -> str:
-    """What the system said, out of what became of it on its way up."""
+    """Returns the system's message for an OS error, or the first line of any other."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,4 +1,4 @@
-"""A run's directory, and whether a run may go there: told before anything slow, and before anything is written."""
+"""A run's directory and the checks of it, made before anything slow starts or is written."""
 
 from __future__ import annotations
 
@@ -12,53 +12,54 @@ from ear_jax.config import Config, flat, from_dict, run_name
 from ear_jax.errors import RunError, UsageError
 from ear_jax.tasks import TaskSet
 
-# Settings that may differ when a run is continued: none of them changes what an epoch computes.
+# Settings that may change when a run is continued, as they do not affect what an epoch computes.
 MAY_CHANGE = ("epochs", "minutes", "engine", "checkpoint.blocks", "checkpoint.replay")
-# What a process leaves that was killed before it wrote config.json.
-BEGINNINGS = {"lock", "config.json.part"}
+# Files that a process leaves if it is killed before it wrote config.json.
+UNSTARTED = {"lock", "config.json.part"}
 
 
 def default_directory(config: Config) -> Path:
+    """Returns the directory of a run whose user named none."""
     return Path("runs") / run_name(config)
 
 
 def check_place(directory: Path) -> None:
-    """Refuses a directory that cannot hold a run.
+    """Checks that a directory can hold a run.
 
     Raises:
       UsageError: it is a file, or holds something else.
-      RunError: it cannot be written.
+      RunError: it is not writable.
     """
-    standing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
-    if not standing.is_dir():
-        raise UsageError(f"--out {directory} needs a directory, and {standing} is a file")
-    if not os.access(standing, os.W_OK | os.X_OK):
-        raise RunError(f"cannot write in {standing}")
+    existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise UsageError(f"--out {directory} needs a directory, but {existing} is a file")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise RunError(f"cannot write in {existing}")
     names = {path.name for path in directory.iterdir()} if directory.exists() else set()
-    if "config.json" not in names and not names <= BEGINNINGS:
+    if "config.json" not in names and not names <= UNSTARTED:
         raise UsageError(f"--out {directory} is neither empty nor a run directory; name another")
 
 
 def check_settings(holder: Path, document: dict[str, Any], config: Config) -> None:
-    """Refuses to continue a run with other settings.
+    """Checks that a run is continued with its own settings.
 
     Args:
       holder: the run or checkpoint that `document` was read from.
-      document: what it says of itself.
-      config: what is to be trained now.
+      document: its `config.json` or `about.json`.
+      config: the settings to train with now.
 
     Raises:
-      UsageError: settings differ, with the differences.
+      UsageError: settings differ; the message lists them.
     """
     before, now = flat(from_dict(document["config"])), flat(config)
-    differ = [name for name in before if before[name] != now[name] and name not in MAY_CHANGE]
-    if differ:
-        changes = "; ".join(f"{name} was {before[name]}, is {now[name]}" for name in differ)
+    changed = [name for name in before if before[name] != now[name] and name not in MAY_CHANGE]
+    if changed:
+        changes = "; ".join(f"{name} was {before[name]}, is {now[name]}" for name in changed)
         raise UsageError(f"{holder} holds a run with other settings: {changes}; use another --out")
 
 
 def check_tasks(holder: Path, document: dict[str, Any], tasks: TaskSet) -> None:
-    """Refuses to use what was trained on one set of tasks with another; raises UsageError with the first difference."""
+    """Raises UsageError with the first difference if a run or file was trained on other tasks."""
     if document.get("fingerprint") == tasks.fingerprint:
         return
     pairs = zip_longest(document.get("tasks", []), json.loads(json.dumps(tasks.document)))

@@ -1,4 +1,4 @@
-"""What a run will take, told before it starts: memory by its shapes, time by a few steps and updates made here."""
+"""Estimates of a run before it starts: memory from shapes, time from a few steps and updates made here."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from ear_jax.runs import training
 from ear_jax.runs.seeds import devices_for
 from ear_jax.runs.training import Program
 
-FEW = 5  # steps and updates that are timed
-REPEATS = 3
+TIMED = 5  # steps and updates
+REPEATS = 3  # the fastest counts
 
 
 @dataclass(frozen=True)
 class Memory:
-    """Bytes of all seeds together."""
+    """Bytes for all seeds together."""
 
     replay: int
     learner: int  # networks, targets and optimisers
     total: int
-    available: int | None  # None where it cannot be told
+    available: int | None  # None if unknown
 
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds of all seeds together."""
+    """Seconds for all seeds together."""
 
     compiling: float
     epoch: float
@@ -45,38 +45,39 @@ class Times:
 
 
 def memory(program: Program) -> Memory:
-    """What a run's state takes; nothing is allocated."""
+    """Returns the memory of a run's state, without allocating it."""
     state = jax.eval_shape(jax.vmap(partial(training.init, program)), training.seed_keys(program.config))
     replay, learner, total = (runtime.tree_bytes(part) for part in (state.replay, state.learner, state))
     return Memory(replay, learner, total, runtime.available_bytes(devices_for(program.config.seeds)))
 
 
 def check_memory(program: Program) -> None:
-    """Refuses a run that will not fit; raises RunError with the sizes."""
+    """Raises RunError, with the sizes, if a run's state does not fit in memory."""
     needed = memory(program)
     if needed.available is not None and needed.total > needed.available:
         raise RunError(
-            f"this run needs {gigabytes(needed.total)} of memory, {gigabytes(needed.replay)} of it for replay, and "
-            f"{gigabytes(needed.available)} are free; lower --replay.capacity or --seeds"
+            f"this run needs {gigabytes(needed.total)} of memory, {gigabytes(needed.replay)} of it for replay, but "
+            f"only {gigabytes(needed.available)} is free; lower --replay.capacity or --seeds"
         )
 
 
 def gigabytes(count: int) -> str:
+    """Formats bytes as GB."""
     return f"{count / 1e9:.2f} GB"
 
 
 def times(config: Config) -> Times:
-    """Times what an epoch is made of, steps and updates, by a program that does only a few of each.
+    """Times a program with only a few steps and updates per epoch, and extrapolates to an epoch of the run.
 
     Args:
-      config: of the run; its whole replay is allocated.
+      config: the run's; its whole replay is allocated.
     """
     collect, sac = config.collect, config.sac
-    steps, updates = min(FEW, collect.steps), min(FEW, sac.updates)
-    if find_method(config.agent).learner.on_policy:  # an update sees all steps of its epoch
+    steps, updates = min(TIMED, collect.steps), min(TIMED, sac.updates)
+    if find_method(config.agent).learner.on_policy:  # its update needs all steps of the epoch
         steps, updates = collect.steps, sac.updates
-    few = replace(config, collect=replace(collect, steps=steps), sac=replace(sac, updates=updates))
-    program, keys = training.make_program(few), training.seed_keys(few)
+    short = replace(config, collect=replace(collect, steps=steps), sac=replace(sac, updates=updates))
+    program, keys = training.make_program(short), training.seed_keys(short)
     compiler_options = runtime.compiler_options(config.network.matmul)
 
     def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
@@ -94,14 +95,15 @@ def times(config: Config) -> Times:
         jax.block_until_ready(evaluating(state.learner.policy, keys))
     compiling = time.perf_counter() - began
     with phase(f"timing {steps} steps and {updates} updates"):
-        collected, state = _fastest(collecting, state)
-        learnt, state = _fastest(learning, state)
-        evaluated, _ = _fastest(lambda state: evaluating(state.learner.policy, keys), state, repeats=1)
-    return Times(compiling, collected / steps * collect.steps + learnt / updates * sac.updates, evaluated)
+        collect_seconds, state = _fastest(collecting, state)
+        learn_seconds, state = _fastest(learning, state)
+        evaluation, _ = _fastest(lambda state: evaluating(state.learner.policy, keys), state, repeats=1)
+    epoch = collect_seconds / steps * collect.steps + learn_seconds / updates * sac.updates
+    return Times(compiling, epoch, evaluation)
 
 
 def _fastest(run: Callable[[Any], Any], state: Any, repeats: int = REPEATS) -> tuple[float, Any]:
-    """Seconds of the fastest of some runs, each on what the one before returned, and what the last returned."""
+    """Returns the seconds of the fastest of several runs, each given the last one's result, and the final result."""
     seconds = []
     for _ in range(repeats):
         began = time.perf_counter()

@@ -1,4 +1,4 @@
-"""A policy as one file that loads anywhere: parameters, code table, configuration and a card, and no replay."""
+"""Policies as one portable file: parameters, code table, configuration and a card, without replay."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ SUFFIX = ".safetensors"
 
 
 def write_policy(path: Path, policies: Params, codes: jax.Array, about: dict[str, Any], card: str) -> None:
-    """Writes a file in the safetensors format.
+    """Writes policies to a file in the safetensors format.
 
     Args:
       path: the file.
       policies: each leaf [seeds, …].
-      codes: the code tables [seeds, tasks, code], for readers that know nothing of ear_jax.
-      about: configuration, tasks, versions, as JSON holds it.
-      card: what a person should know of it.
+      codes: the code tables [seeds, tasks, code], for readers without ear_jax.
+      about: a JSON document with configuration, tasks and versions.
+      card: a description for people.
 
     Raises:
-      RunError: it cannot be written.
+      RunError: the file cannot be written.
     """
     arrays = {name: np.asarray(leaf) for name, leaf in named_leaves({"policy": policies, "codes": codes}).items()}
-    told = {"format": FORMAT, "about": json.dumps(about), "card": card}
-    safetensors.write(path, arrays, {**told, "sha256": _digest(arrays, told)})
+    metadata = {"format": FORMAT, "about": json.dumps(about), "card": card}
+    safetensors.write(path, arrays, {**metadata, "sha256": _digest(arrays, metadata)})
 
 
 def read_policy(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """What `write_policy` was told, and the arrays by name.
+    """Returns the `about` given to `write_policy`, and the arrays by name.
 
     Raises:
-      RunError: it is no such file, or a damaged one.
+      RunError: it is not a policy file, or it is damaged.
     """
-    arrays, told = safetensors.read(path)
-    if told.get("format") != FORMAT:
-        raise RunError(f"{path} is no policy that this version of ear_jax exported")
-    if told.pop("sha256", None) != _digest(arrays, told):
+    arrays, metadata = safetensors.read(path)
+    if metadata.get("format") != FORMAT:
+        raise RunError(f"{path} is not a policy file that this version of ear_jax can read")
+    if metadata.pop("sha256", None) != _digest(arrays, metadata):
         raise RunError(f"{path} is damaged: it differs from its checksum")
-    return json.loads(told["about"]), arrays
+    return json.loads(metadata["about"]), arrays
 
 
-def _digest(arrays: dict[str, np.ndarray], told: dict[str, str]) -> str:
-    digest = hashlib.sha256(json.dumps(told, sort_keys=True).encode())
+def _digest(arrays: dict[str, np.ndarray], metadata: dict[str, str]) -> str:
+    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
     for name, array in sorted(arrays.items()):
         digest.update(f"{name} {array.dtype} {array.shape} ".encode())
         digest.update(np.ascontiguousarray(array))

@@ -1,4 +1,4 @@
-"""Numbers that went bad: a run stops at the first that is not finite, and leaves a report of where and what."""
+"""Numbers that are not finite: a run stops at the first one and leaves a report."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ NAME = "failure.json"
 
 
 def check_finite(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray, before: int) -> None:
-    """Refuses to go on from a block in which a number was not finite.
+    """Stops a run whose last block has a metric that is not finite.
 
     Args:
-      directory: the run's, where the report is left.
-      rows: the block's metrics, a row a seed.
-      finite: [seeds, tasks], the block's updates before a task's loss was first not finite.
+      directory: the run's, where the report is written.
+      rows: the block's metrics, one row per seed.
+      finite: [seeds, tasks], the block's updates before a task's first non-finite loss.
       before: updates before the block.
 
     Raises:
-      RunError: what was not finite, where, and which report tells more.
+      RunError: a metric is not finite; the message names it, the tasks and the report.
     """
     for row, counts in zip(rows, finite, strict=True):
         numbers = dict(_numbers(row))
@@ -44,8 +44,8 @@ def check_finite(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray
         records.write_json(directory / NAME, report)
         tasks = f"task {first[0]}" if len(first) == 1 else f"{len(first)} tasks"
         raise RunError(
-            f"seed {row['seed']} is lost: {bad[0]} is {numbers[bad[0]]} after {report['finite_updates']:,} updates "
-            f"({tasks}); checkpoints are as they were, and the same command would end the same; see {directory / NAME}"
+            f"seed {row['seed']} failed: {bad[0]} is {numbers[bad[0]]} after {report['finite_updates']:,} updates "
+            f"({tasks}); checkpoints are unchanged, and the same command would fail again; see {directory / NAME}"
         )
 
 

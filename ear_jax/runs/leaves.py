@@ -1,4 +1,4 @@
-"""Pytrees as flat dictionaries of named arrays: what is written to a file, and how two of them are compared."""
+"""Pytrees as flat dictionaries of named arrays, the form in which they are saved and compared."""
 
 from __future__ import annotations
 
@@ -9,47 +9,48 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-Leaves = dict[str, Any]  # such as learner.policy.encoder.params.Dense_0.kernel → array
-Layout = dict[str, list]  # the same names → [dtype, shape]
+Leaves = dict[str, Any]  # e.g. learner.policy.networks.encoder.params.Dense_0.kernel → array
+Layout = dict[str, list]  # name → [dtype, shape]
 
 
 def named_leaves(tree: Any) -> Leaves:
-    """A pytree's leaves, arrays or their shapes, by path; random keys as the integers they are made of."""
+    """Returns a pytree's leaves, arrays or their shapes, by path; random keys become their integers."""
     paths, _ = jax.tree_util.tree_flatten_with_path(tree)
     return {jax.tree_util.keystr(path, simple=True, separator="."): _without_key(leaf) for path, leaf in paths}
 
 
 def rebuild(like: Any, leaves: Mapping[str, np.ndarray]) -> Any:
-    """The pytree of `like`'s structure whose leaves were named so, on JAX's default device."""
+    """Builds a pytree of `like`'s structure from named leaves, on JAX's default device."""
     arrays = [jnp.asarray(leaves[name]) for name in named_leaves(like)]
-    old, structure = jax.tree.flatten(like)
-    pairs = zip(old, arrays, strict=True)
-    new = [jax.random.wrap_key_data(array) if _is_key(leaf) else array for leaf, array in pairs]
+    templates, structure = jax.tree.flatten(like)
+    pairs = zip(templates, arrays, strict=True)
+    new = [jax.random.wrap_key_data(array) if _is_key(template) else array for template, array in pairs]
     return jax.tree.unflatten(structure, new)
 
 
 def layout(leaves: Leaves) -> Layout:
-    """Dtype and shape of each."""
+    """Returns the dtype and shape of each leaf."""
     return {name: [str(leaf.dtype), list(leaf.shape)] for name, leaf in leaves.items()}
 
 
 def first_difference(wanted: Layout, found: Layout, partly: bool = False) -> str | None:
-    """Where `found` is not as wanted, in words; None where it is.
+    """Describes the first difference between two layouts; None if they agree.
 
     Args:
-      wanted, found: layouts.
-      partly: more may be found than is wanted.
+      wanted: the layout expected here.
+      found: the layout of a file or checkpoint.
+      partly: allow `found` to hold more.
     """
     for name, kind in wanted.items():
         if name not in found:
             return f"it has no {name}"
         if found[name] != kind:
-            return f"{name} is {_shown(found[name])} there and {_shown(kind)} here"
-    more = [] if partly else [name for name in found if name not in wanted]
-    return f"it has {more[0]}, which is unknown here" if more else None
+            return f"{name} is {_format(found[name])}, not {_format(kind)}"
+    extra = [] if partly else [name for name in found if name not in wanted]
+    return f"it has {extra[0]}, which is not expected" if extra else None
 
 
-def _shown(kind: list) -> str:
+def _format(kind: list) -> str:
     return f"{kind[0]} {kind[1]}"
 
 

@@ -1,4 +1,4 @@
-"""One process a run directory."""
+"""The lock that keeps a run's directory to one process."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ NAME = "lock"
 
 
 class InUse(RunError):
-    """Another process holds the directory."""
+    """Another process holds the directory's lock."""
 
 
 @contextmanager
 def lock_directory(directory: Path, announce: Callable[[str], None]) -> Iterator[None]:
-    """Makes a run's directory, and keeps every other process out of it while entered.
+    """A context that creates a run's directory and keeps other processes out of it.
 
-    The lock is the kernel's (flock), which takes it back however the process ends; the file only says whose it is. A
-    name left in it is of a process that was killed, and is announced, not obeyed.
+    The kernel holds the lock (flock) and releases it however the process ends; the file only names the holder. A name
+    left in the file is that of a process that was killed. It is announced and otherwise ignored.
 
     Args:
       directory: the run's.
-      announce: told of a process that was killed.
+      announce: called with a line about a process that was killed.
 
     Raises:
-      InUse: another process holds it.
-      RunError: it cannot be made.
+      InUse: another process holds the lock.
+      RunError: the directory or the lock cannot be made.
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -43,12 +43,12 @@ def lock_directory(directory: Path, announce: Callable[[str], None]) -> Iterator
         _take(lock, directory)
         killed = _holder(lock)
         if killed:
-            announce(f"{killed}, which had {directory} before, was killed; its lock is void")
-        _name(lock, f"process {os.getpid()} on {socket.gethostname()}")
+            announce(f"{killed}, which used {directory} before, was killed; ignoring its lock")
+        _write_holder(lock, f"process {os.getpid()} on {socket.gethostname()}")
         try:
             yield
         finally:
-            _name(lock, "")
+            _write_holder(lock, "")
     finally:
         os.close(lock)
 
@@ -57,7 +57,8 @@ def _take(lock: int, directory: Path) -> None:
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise InUse(f"{directory} is in use by {_holder(lock)}; wait for it, or name another --out") from None
+        holder = _holder(lock) or "another process"  # which may not have written its name yet
+        raise InUse(f"{directory} is in use by {holder}; wait for it, or name another --out") from None
     except OSError as error:
         raise RunError(f"cannot lock {directory / NAME}: {error.strerror}") from None
 
@@ -66,7 +67,7 @@ def _holder(lock: int) -> str:
     return os.pread(lock, 200, 0).decode(errors="replace").strip()
 
 
-def _name(lock: int, holder: str) -> None:
+def _write_holder(lock: int, holder: str) -> None:
     os.ftruncate(lock, 0)
-    with contextlib.suppress(OSError):  # on a full disk nobody is named, and it is locked all the same
+    with contextlib.suppress(OSError):  # on a full disk the lock holds without a name
         os.pwrite(lock, holder.encode(), 0)

@@ -1,9 +1,9 @@
-"""Run directories and what stands in them: the source of every table and figure. Imports no JAX.
+"""Run directories and their documents, the source of every table and figure. Imports no JAX.
 
 A run directory holds `config.json` (settings, tasks, machine, versions, commit), `metrics.jsonl` (a row per seed and
 block), the last document of each analysis (`evaluation.json`, `interpolation.json`, `adaptation.json`,
 `composition.json`, `map.json`, `lse.json`), `ltes.json` (named LTEs), `checkpoints/`, `figures/`, `videos/`, the `lock`
-of the process that trains it, and `failure.json` where its numbers went bad.
+of the process that trains it, and `failure.json` if a metric was not finite.
 """
 
 from __future__ import annotations
@@ -15,32 +15,44 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ear_jax.errors import RunError, UsageError
 
-RESULTS = ("experiments/records", "benchmarks/results")  # where a checkout keeps what it found out
+RESULTS = ("experiments/records", "benchmarks/results")  # a checkout's results, whose changes do not mark its commit
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "orbax-checkpoint", "numpy", "gymnasium")
 
 
 def write_json(path: Path, document: Any) -> None:
-    """Writes a document whole or not at all; raises RunError where it cannot be written."""
+    """Writes a JSON document atomically; raises RunError if it cannot be written."""
     write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Beside its place and then into it; a link planted under either name is replaced, not followed.
+    """Writes a file atomically and creates its directory; raises RunError if it cannot be written."""
+    folder(path.parent)
+    with replacing(path, "x") as file:
+        file.write(text)
+
+
+@contextlib.contextmanager
+def replacing(path: Path, mode: str) -> Iterator[IO[Any]]:
+    """Opens a temporary file that replaces `path` once it is written; links at either name are not followed.
+
+    Args:
+      path: the file to replace.
+      mode: `x` for UTF-8 text, `xb` for bytes.
 
     Raises:
-      RunError: it cannot be written.
+      RunError: the file cannot be written; `path` is unchanged.
     """
     scratch = path.with_name(path.name + ".part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         scratch.unlink(missing_ok=True)
-        with scratch.open("x", encoding="utf-8") as file:
-            file.write(text)
+        with scratch.open(mode, encoding=None if "b" in mode else "utf-8") as file:
+            yield file
         os.replace(scratch, path)
     except OSError as error:
         with contextlib.suppress(OSError):
@@ -49,7 +61,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def folder(path: Path) -> Path:
-    """The same path, with a directory there and above it; raises RunError where it cannot be made."""
+    """Creates a directory and its parents and returns it; raises RunError if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -58,22 +70,22 @@ def folder(path: Path) -> Path:
 
 
 def read_run(run: Path) -> dict[str, Any]:
-    """A run's `config.json`; raises UsageError where there is no run."""
+    """Returns a run's `config.json`; raises UsageError if there is no run, RunError if it cannot be read."""
     path = run / "config.json"
     if not path.is_file():
-        makes = "`ear train` makes one, and `ear pretrained` lists agents that ship"
-        raise UsageError(f"{run} is not a run directory: it has no config.json ({makes})")
+        hint = "`ear train` makes one, and `ear pretrained` lists agents that ship"
+        raise UsageError(f"{run} is not a run directory: it has no config.json ({hint})")
     try:
         document = json.loads(path.read_text())
         if not isinstance(document["config"], dict):
-            raise ValueError("'config' is no table of settings")
+            raise ValueError("'config' is not a table of settings")
         return document
     except (ValueError, KeyError, TypeError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
 
 
 def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Appends JSON lines and hands them to the disk; raises RunError where they cannot be written."""
+    """Appends JSON lines and flushes them to disk (fsync); raises RunError if they cannot be written."""
     lines = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows)
     try:
         file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o644)
@@ -86,7 +98,7 @@ def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
-    """All whole rows; a last line torn by a crash is passed over."""
+    """Returns all complete rows; lines cut off by a crash are skipped."""
     if not path.exists():
         return []
     rows = []
@@ -99,14 +111,14 @@ def read_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def keep_rows(path: Path, last_epoch: int) -> None:
-    """Forgets rows past an epoch, which a resumed run will write again, and a torn one."""
+    """Removes rows past an epoch, which a continued run writes again, and incomplete lines."""
     if path.exists():
         kept = [row for row in read_rows(path) if row["epoch"] <= last_epoch]
         write_text(path, "".join(json.dumps(row) + "\n" for row in kept))
 
 
 def provenance() -> dict[str, Any]:
-    """What a number has to be read with: machine, versions, commit."""
+    """Returns the provenance of results: machine, versions and commit."""
     return {
         "machine": {
             "processor": _processor(),
@@ -121,7 +133,7 @@ def provenance() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str | None]:
-    """Installed versions of the packages that results depend on; None where one is missing."""
+    """Returns the installed versions of the packages that results depend on; None for a missing one."""
 
     def version(package: str) -> str | None:
         try:
@@ -133,12 +145,12 @@ def versions() -> dict[str, str | None]:
 
 
 def commit() -> str | None:
-    """This checkout's commit, marked where its files differ, results left aside; None outside a checkout."""
+    """Returns the checkout's commit, marked `+changes` if files other than results differ; None outside a checkout."""
     here = Path(__file__).resolve().parent
 
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", "-C", here, *words], capture_output=True, text=True, check=True, timeout=10)
-        return done.stdout.strip()
+    def git(*arguments: str) -> str:
+        result = subprocess.run(["git", "-C", here, *arguments], capture_output=True, text=True, check=True, timeout=10)
+        return result.stdout.strip()
 
     try:
         changed = git("status", "--porcelain", "-uno", "--", ":/", *(f":(top,exclude){place}" for place in RESULTS))
@@ -148,7 +160,7 @@ def commit() -> str | None:
 
 
 def _accelerator() -> str | None:
-    """What JAX runs on, where it is no CPU; whoever has not imported JAX has used none."""
+    """Returns the accelerator that JAX runs on; None for a CPU, or if JAX was never imported."""
     jax = sys.modules.get("jax")
     if jax is None or jax.default_backend() == "cpu":
         return None

@@ -1,4 +1,4 @@
-"""One program for many seeds: vmapped on a device, and spread over devices where there are several."""
+"""One program for several seeds: vmapped on a device, and sharded over several devices."""
 
 from __future__ import annotations
 
@@ -8,18 +8,24 @@ from typing import Any
 import jax
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
+from ear_jax.config import Config
 from ear_jax.process.runtime import compiler_options
 
 AXIS = "seeds"
 
 
+def seed_range(config: Config) -> str:
+    """Names a run's seeds: seed 3, or seeds 0–4."""
+    return f"seed {config.seed}" if config.seeds == 1 else f"seeds {config.seed}–{config.seed + config.seeds - 1}"
+
+
 def devices_for(seeds: int) -> int:
-    """How many devices share the seeds evenly: the most there are that divide them."""
+    """Returns the largest number of devices that divides the seeds evenly."""
     return max(count for count in range(1, jax.local_device_count() + 1) if seeds % count == 0)
 
 
 def seed_sharding(seeds: int) -> NamedSharding:
-    """How leaves [seeds, …] lie on the devices."""
+    """Returns the sharding of leaves [seeds, …] over devices."""
     mesh = Mesh(jax.local_devices()[: devices_for(seeds)], (AXIS,))
     return NamedSharding(mesh, PartitionSpec(AXIS))
 
@@ -33,27 +39,27 @@ def over_seeds(
 ) -> Any:
     """Compiles a function of one seed for all of them.
 
-    Each device runs its own seeds by themselves: none waits for another, and an engine that calls the host is called
-    once a device.
+    Devices run their own seeds independently: none waits for another, and the native engine calls the host once per
+    device.
 
     Args:
-      function: of one seed; what it returns gets a leading axis [seeds].
-      seeds: how many.
-      in_axes: for each argument 0, where it has that axis too, or None.
-      matmul: what it mostly multiplies, as in `network.matmul`.
-      options: more of `jax.jit`'s.
+      function: for one seed; its results get a leading axis [seeds].
+      seeds: the number of seeds.
+      in_axes: for each argument 0 if it has an axis [seeds], else None.
+      matmul: the precision of most of its matmuls, as in `network.matmul`.
+      options: further options of `jax.jit`.
     """
     mapped, sharding = jax.vmap(function, in_axes), seed_sharding(seeds)
     options["compiler_options"] = compiler_options(matmul)
     if devices_for(seeds) == 1:
         return jax.jit(mapped, **options)
-    everywhere = NamedSharding(sharding.mesh, PartitionSpec())
-    places = tuple(everywhere if axis is None else sharding for axis in in_axes)
-    spread_out = jax.shard_map(
+    replicated = NamedSharding(sharding.mesh, PartitionSpec())
+    in_shardings = tuple(replicated if axis is None else sharding for axis in in_axes)
+    sharded = jax.shard_map(
         mapped,
         mesh=sharding.mesh,
-        in_specs=tuple(place.spec for place in places),
+        in_specs=tuple(argument.spec for argument in in_shardings),
         out_specs=sharding.spec,
-        check_vma=False,  # it cannot see through the callbacks of the native engine
+        check_vma=False,  # not supported for the native engine's callbacks
     )
-    return jax.jit(spread_out, in_shardings=places, out_shardings=sharding, **options)
+    return jax.jit(sharded, in_shardings=in_shardings, out_shardings=sharding, **options)

@@ -1,4 +1,4 @@
-"""The training program: what is compiled, and nothing that touches the host."""
+"""The training program: pure functions of one seed, which the host loop compiles."""
 
 from __future__ import annotations
 
@@ -26,45 +26,46 @@ EVALUATION_STREAM = 0x0E7A1  # keeps the keys of evaluation apart from those of 
 
 @struct.dataclass
 class TrainState:
-    """The whole run of one seed: stopping and resuming from it equals never stopping."""
+    """The state of one seed's run; resuming from it gives the same results as never stopping."""
 
-    learner: Any  # all that gradients change: SacState or MamlState
-    replay: Any  # what was collected: Replay, or Trials of one epoch where nothing older may be learnt from
-    cells: EnvState  # the environments, [tasks, envs]
-    key: jax.Array
+    learner: Any  # SacState or MamlState
+    replay: Any  # Replay, or the last epoch's Trials for an on-policy learner
+    cells: EnvState  # the environments, [tasks, envs]; checkpoints store leaves by this name
+    key: jax.Array  # of all later randomness
     epoch: jax.Array  # int32, epochs trained
-    collected: jax.Array  # int32, epochs of collection, those without updates included
+    collected: jax.Array  # int32, epochs of collection, including those without updates
 
     @property
     def without_replay(self) -> TrainState:
-        """All but what the replay holds, which is most of it."""
+        """The state without its replay, which is by far the largest part."""
         return replace(self, replay=None)
 
 
 @dataclass(frozen=True)
 class Program:
-    """A configuration made ready: the family on its engine, the agent, the learner."""
+    """A configuration with the family, agent and learner it names."""
 
     config: Config
     family: Family
     tasks: TaskSet
-    agent: Agent
+    agent: Agent  # acts in float32, whatever `network.matmul` is
     learner: Learner
 
     @property
     def env_steps_per_epoch(self) -> int:
+        """Environment steps of one seed in an epoch."""
         return len(self.tasks) * self.config.collect.envs * self.config.collect.steps
 
     def env_steps(self, collected: int) -> int:
-        """Environment steps of one seed in so many epochs of collection."""
+        """Returns the environment steps of one seed in a number of epochs of collection."""
         return self.env_steps_per_epoch * collected
 
 
 def make_program(config: Config) -> Program:
-    """Checks a configuration and builds what it names; nothing is compiled.
+    """Checks a configuration and builds its program; nothing is compiled.
 
     Raises:
-      UsageError: a name or value that makes no sense.
+      UsageError: a name or value is invalid.
       RunError: the engine cannot run here.
     """
     family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
@@ -78,22 +79,22 @@ def make_program(config: Config) -> Program:
         raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
     sizes = Sizes(family.observation_size, family.action_size, len(tasks))
     learner = method.learner(make_agent(sizes, config), family, tasks.params, config)
-    acting = make_agent(sizes, replace(config, network=replace(config.network, matmul="float32")))
-    return Program(config, family, tasks, acting, learner)
+    float32_agent = make_agent(sizes, replace(config, network=replace(config.network, matmul="float32")))
+    return Program(config, family, tasks, float32_agent, learner)
 
 
 def seed_keys(config: Config) -> jax.Array:
-    """The key each seed starts from, [seeds]."""
+    """Returns each seed's initial key, [seeds]."""
     return jax.vmap(jax.random.key)(config.seed + jnp.arange(config.seeds))
 
 
 def evaluation_keys(keys: jax.Array, number: int) -> jax.Array:
-    """Keys for an evaluation of each seed that no training step has used; keys [seeds]."""
+    """Derives each seed's key for an evaluation, unused by training, from its initial key [seeds]."""
     return jax.vmap(lambda key: jax.random.fold_in(jax.random.fold_in(key, EVALUATION_STREAM), number))(keys)
 
 
 def init(program: Program, key: jax.Array) -> TrainState:
-    """A fresh run of one seed."""
+    """Returns the initial state of one seed."""
     key_learner, key_cells, key_run = jax.random.split(key, 3)
     collect = program.config.collect
     env_states = BatchedEnv(program.family).start(key_cells, program.tasks.params, collect.envs, collect.stagger)
@@ -108,23 +109,23 @@ def init(program: Program, key: jax.Array) -> TrainState:
 
 
 def collect(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
-    """One epoch's collection of one seed.
+    """Runs one seed's collection for an epoch.
 
-    Also what fills the replay before the first update, by the untrained policy (algorithm 1, the pre-train epochs).
+    It also fills the replay before the first update, with the untrained policy (algorithm 1, pre-train epochs).
     """
     key, later = jax.random.split(state.key)
-    env_states, collected, metrics = program.learner.collect(state.learner, state.replay, state.cells, key)
-    return replace(state, cells=env_states, replay=collected, key=later, collected=state.collected + 1), metrics
+    env_states, memory, metrics = program.learner.collect(state.learner, state.replay, state.cells, key)
+    return replace(state, cells=env_states, replay=memory, key=later, collected=state.collected + 1), metrics
 
 
 def learn(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
-    """One epoch's updates of one seed; its metrics are the learner's, and norms at the end."""
+    """Runs one seed's updates for an epoch; the metrics are the learner's and the final norms."""
     key, later = jax.random.split(state.key)
     learner, metrics = program.learner.learn(state.learner, state.replay, key)
     return replace(state, learner=learner, key=later, epoch=state.epoch + 1), {**metrics, **learner.norms}
 
 
 def evaluate(program: Program, policy: Params, key: jax.Array, episodes: int) -> Episodes:
-    """Plays one seed's policy on the training tasks, without exploration; [tasks, episodes]."""
+    """Plays one seed's policy on the training tasks without exploration, [tasks, episodes]."""
     codes = program.agent.codes(policy)
     return play(program.family, program.agent, policy, codes, program.tasks.params, key, episodes)

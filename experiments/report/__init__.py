@@ -1,1 +1,1 @@
-"""The paper's tables and figures beside ours, made from the committed records alone. Imports no JAX."""
+"""The report: the paper's tables and figures beside ours, from the committed records alone. Trains nothing."""

@@ -1,4 +1,4 @@
-"""The paper's tables of single blends of two tasks, a column a seed, beside ours."""
+"""The paper's tables of single blends of two tasks beside ours, one column for each seed."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from experiments.report.measures import difference, unit
 from experiments.report.run_index import Run, RunIndex
 from experiments.statistics import interquartile_mean
 
-Column = Mapping[Any, str]  # what a seed has, by the row's key
+Column = Mapping[Any, str]  # a seed's cells by the key of their row
 
 
 def side_by_side(
@@ -25,18 +25,18 @@ def side_by_side(
     ours: Mapping[str, Column],
     runs: Sequence[Run],
 ) -> Table:
-    """A row a key; the paper's columns, then ours; one column that says so where there are none."""
+    """Returns a table with a row for each key: the paper's columns, then ours, or one column saying why not."""
     columns = {f"paper, {name}" if name else "paper": column for name, column in paper.items()}
     columns |= {f"ours, {name}": column for name, column in ours.items()} or {"ours": {keys[0]: lack(runs)}}
-    rows = [[printed(one), *(column.get(one, MISSING) for column in columns.values())] for one in keys]
+    rows = [[printed(row), *(column.get(row, MISSING) for column in columns.values())] for row in keys]
     return Table(caption, (key, *columns), rows)
 
 
-def midway(table: str, family: str, found: RunIndex) -> list[Block]:
-    """Tables 11 to 14: the β that best meets the value midway, and what it achieves."""
+def midway(table: str, family: str, index: RunIndex) -> list[Block]:
+    """Returns tables 11 to 14: the β that best meets the value midway, and its outcome."""
     panels = numbers()[table]["panels"]
     paper = {name: {target: _arrow(beta, outcome) for target, beta, outcome in rows} for name, rows in panels.items()}
-    pairs = _pairs(found, family)
+    pairs = _pairs(index, family)
     ours = {
         f"seed {seed}": {target: _arrow(pair["beta"], pair["outcome"]) for target, pair in by_target.items()}
         for seed, by_target in pairs.items()
@@ -48,18 +48,18 @@ def midway(table: str, family: str, found: RunIndex) -> list[Block]:
     targets = [row[0] for row in next(iter(panels.values()))]
     theirs = [[row[2] for row in rows] for rows in panels.values()]
     return [
-        side_by_side(caption, "target", targets, paper, ours, found.runs(family)),
+        side_by_side(caption, "target", targets, paper, ours, index.runs(family)),
         _miss(family, targets, theirs, outcomes),
     ]
 
 
-def halfway(table: str, family: str, found: RunIndex) -> list[Block]:
-    """Tables 15 to 18: what β = ½ achieves."""
+def halfway(table: str, family: str, index: RunIndex) -> list[Block]:
+    """Returns tables 15 to 18: the outcome at β = ½."""
     panels = numbers()[table]["panels"]
     paper = {name: {target: number(outcome, 2) for target, outcome in rows} for name, rows in panels.items()}
     outcomes = {
         seed: {target: pair["one_to_one_outcome"] for target, pair in row.items()}
-        for seed, row in _pairs(found, family).items()
+        for seed, row in _pairs(index, family).items()
     }
     ours = {f"seed {seed}": {key: number(value, 2) for key, value in row.items()} for seed, row in outcomes.items()}
     targets = [row[0] for row in next(iter(panels.values()))]
@@ -68,14 +68,14 @@ def halfway(table: str, family: str, found: RunIndex) -> list[Block]:
     caption = f"{NAMES[family]}: midway between two tasks ({unit(family)}), and for each seed the outcome at β = ½."
     theirs = [[row[1] for row in rows] for rows in panels.values()]
     return [
-        side_by_side(caption, "midway", targets, paper, ours, found.runs(family)),
+        side_by_side(caption, "midway", targets, paper, ours, index.runs(family)),
         _miss(family, targets, theirs, outcomes),
     ]
 
 
-def _pairs(found: RunIndex, family: str) -> dict[int, dict[float, dict[str, Any]]]:
-    """Each seed's pairs of neighbours by the value midway."""
-    runs = {run.seed: run.of_seed("interpolation", "pairs") for run in found.runs(family)}
+def _pairs(index: RunIndex, family: str) -> dict[int, dict[float, dict[str, Any]]]:
+    """Returns each seed's pairs of neighbouring tasks by the value midway between them."""
+    runs = {run.seed: run.of_seed("interpolation", "pairs") for run in index.runs(family)}
     return {seed: {round(pair["target"], 2): pair for pair in pairs} for seed, pairs in runs.items() if pairs}
 
 
@@ -84,82 +84,85 @@ def _arrow(beta: float, outcome: float) -> str:
 
 
 def _mean_outcome(family: str, target: float, outcomes: dict[int, dict[float, float]]) -> str:
-    """Over seeds; directions are averaged as distances from the target, so that 359° and 1° make 0°."""
+    """Returns mean and spread over seeds. Directions are averaged as distances from the target: 359° and 1° give 0°."""
     values = [target + difference(family, row[target], target) for row in outcomes.values() if target in row]
     return spread(values, 2) if values else MISSING
 
 
 def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: dict[int, dict[float, float]]) -> str:
-    """How far outcomes lie from the values midway, the paper's and ours, in words."""
-    whole = [[row[target] for target in targets] for row in ours.values() if all(target in row for target in targets)]
+    """Returns a sentence on the distance of outcomes from the values midway, the paper's and ours."""
+    complete = [
+        [row[target] for target in targets] for row in ours.values() if all(target in row for target in targets)
+    ]
 
-    def said(outcomes: list[list[float]]) -> str:
+    def summary(outcomes: list[list[float]]) -> str:
         miss = np.abs(difference(family, np.array(outcomes), np.array(targets)))
         if len(miss) < 2:
             return f"{number(float(interquartile_mean(miss)), 3)} {unit(family)} (1 seed)"
         return f"{interval(interquartile_mean, miss, digits=3)} {unit(family)} ({len(miss)} seeds)"
 
-    mine = said(whole) if whole else MISSING
-    return (
-        f"Distance from the value midway, interquartile mean with its 95 % interval: paper {said(theirs)}; ours {mine}."
-    )
+    distance = summary(complete) if complete else MISSING
+    measure = "Distance from the value midway, interquartile mean with its 95 % interval"
+    return f"{measure}: paper {summary(theirs)}; ours {distance}."
 
 
-def met(found: RunIndex) -> list[Block]:
-    """Table 4: speeds between 2 and 3 m/s; at β = 1 and 0 the two tasks themselves, from the evaluation."""
+def met(index: RunIndex) -> list[Block]:
+    """Returns table 4: speeds met between 2 and 3 m/s. β = 1 and 0 are the two tasks themselves, as evaluated."""
     panels = numbers()["table-4"]["panels"]
     paper = {name: {row[0]: _arrow(row[1], row[2]) for row in rows} for name, rows in panels.items()}
-    ours = {f"seed {run.seed}": column for run in found.runs(CHEETAH) if (column := _met_by(run))}
-    caption = "HalfCheetah-Vel: speed to meet between 2 and 3 m/s, and for each seed the β → the speed (m/s)."
+    ours = {f"seed {run.seed}": column for run in index.runs(CHEETAH) if (column := _met_by(run))}
+    caption = "HalfCheetah-Vel: commanded speed from 2 to 3 m/s, and for each seed the β → the speed (m/s)."
     return [
-        side_by_side(caption, "task", [row[0] for row in next(iter(panels.values()))], paper, ours, found.runs(CHEETAH))
+        side_by_side(caption, "task", [row[0] for row in next(iter(panels.values()))], paper, ours, index.runs(CHEETAH))
     ]
 
 
 def _met_by(run: Run) -> dict[str, str]:
     blends = [pair for analysis in MET for pair in run.of_seed(analysis.name, "pairs")]
     column = {f"vel-{pair['target']:g}": _arrow(pair["beta"], pair["outcome"]) for pair in blends}
-    for one in run.of_seed("evaluation", "seeds"):
-        trained = {task["name"]: task["outcome"]["velocity"] for task in one["tasks"]}
+    for evaluation in run.of_seed("evaluation", "seeds"):
+        trained = {task["name"]: task["outcome"]["velocity"] for task in evaluation["tasks"]}
         column |= {name: _arrow(beta, trained[name]) for name, beta in (("vel-2", 1), ("vel-3", 0)) if name in trained}
     return column
 
 
-def beyond(analyses: Mapping[str, Sequence[Analysis]], found: RunIndex) -> list[Block]:
-    """Table 6: outcomes at β outside [0, 1].
+def beyond(analyses: Mapping[str, Sequence[Analysis]], index: RunIndex) -> list[Block]:
+    """Returns table 6: outcomes at β outside [0, 1].
 
     Args:
-      analyses: by family, in the order of the paper's panels.
-      found: the runs.
+      analyses: the extrapolations of each family, in the order of the paper's panels.
+      index: the runs.
     """
     pairs = [(family, analysis) for family, several in analyses.items() for analysis in several]
     blocks: list[Block] = []
     for (family, analysis), (panel, rows) in zip(pairs, numbers()["table-6"]["panels"].items(), strict=True):
         ours = {}
-        for run in found.runs(family):
+        for run in index.runs(family):
             blends = run.of_seed(analysis.name, "blends")
             if blends:
                 ours[f"seed {run.seed}"] = {blend["beta"]: number(blend["outcome"], 2) for blend in blends}
         paper = {"": {beta: number(outcome, 2) for beta, outcome in rows}}
         first, second = panel.split(" & ")
-        caption = f"{NAMES[family]}, {first} (β = 1) and {second} (β = 0): outcome ({unit(family)}) at β beyond them."
-        blocks.append(side_by_side(caption, "β", [row[0] for row in rows], paper, ours, found.runs(family)))
+        caption = (
+            f"{NAMES[family]}, {first} (β = 1) and {second} (β = 0): outcome ({unit(family)}) at β outside [0, 1]."
+        )
+        blocks.append(side_by_side(caption, "β", [row[0] for row in rows], paper, ours, index.runs(family)))
     return blocks
 
 
-def composition(found: RunIndex) -> list[Block]:
-    """Table 10: the β that the paper chose by eye, and what ours do along β."""
+def composition(index: RunIndex) -> list[Block]:
+    """Returns table 10: the β that the paper chose by eye, and the outcomes of our blends along β."""
     panels = numbers()["table-10"]["panels"]
     chosen = [[name, *(printed(cell) for cell in row)] for name, rows in panels.items() for row in rows]
     blocks: list[Block] = [
-        Table("The β the paper found for each composition, by eye.", ("seed", "composition", "β"), chosen)
+        Table("The β that the paper chose by eye for each composition.", ("seed", "composition", "β"), chosen)
     ]
-    for run in found.runs(RUN_JUMP):
+    for run in index.runs(RUN_JUMP):
         for analysis in COMPOSED:
-            for one in run.of_seed(analysis.name, "seeds"):
-                blocks.append(_along_beta(run, run.document(analysis.name) or {}, one["blends"]))
+            for composed in run.of_seed(analysis.name, "seeds"):
+                blocks.append(_along_beta(run, run.document(analysis.name) or {}, composed["blends"]))
     if len(blocks) == 1:
-        blocks.append(f"Ours: {lack(found.runs(RUN_JUMP))}.")
+        blocks.append(f"Ours: {lack(index.runs(RUN_JUMP))}.")
     return blocks
 
 
@@ -177,6 +180,6 @@ def _along_beta(run: Run, document: dict[str, Any], blends: list[dict[str, Any]]
         for blend in blends
     ]
     ends = f"{first} (β = 1) to {second} (β = 0)"
-    caption = f"Ours, seed {run.seed}: {ends}, {document['steps']} steps, means over the second half."
+    caption = f"Ours, seed {run.seed}: {ends}, {document['steps']} steps; means over the second half."
     down = tuple(f"{foot} foot down" for foot in feet)
     return Table(caption, ("β", "velocity (m/s)", "height (m)", *down, "no foot down"), rows)

@@ -1,4 +1,4 @@
-"""What a report is made of, before it is a page or Markdown. In every text `words` between backticks are code."""
+"""The parts of a report before they are rendered as HTML or Markdown. Backticks in a text mark code."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as text; the first column names the rows."""
+    """A table of text; the first column names the rows."""
 
     caption: str
     columns: tuple[str, ...]
     rows: list[list[str]]
-    folded: bool = False  # shown on demand
+    folded: bool = False  # collapsed in HTML until it is opened
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure beside the page."""
+    """A figure in a file of its own."""
 
     file: str  # relative to the page
     caption: str
@@ -25,19 +25,19 @@ class Picture:
 
 @dataclass(frozen=True)
 class Points:
-    """Sentences, one a bullet."""
+    """A list with one bullet for each sentence."""
 
     lines: list[str]
 
 
-Block = str | Table | Picture | Points  # text alone is a paragraph
+Block = str | Table | Picture | Points  # a string is a paragraph
 
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, what it is linked by, and what stands below it."""
+    """A heading with its link target and the blocks below it."""
 
     id: str
     title: str
     blocks: list[Block]
-    lack: str = ""  # why there is nothing of ours
+    lack: str = ""  # why our results are missing, if they are

@@ -1,4 +1,4 @@
-"""Parts of our documents that are written from records, each between two markers."""
+"""Generated parts of our documents, each between two HTML comments as markers."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from ear_jax.errors import RunError
 
 
 def put(path: Path, name: str, content: str) -> None:
-    """Writes what stands between `<!-- name -->` and `<!-- /name -->`, and nothing else.
+    """Replaces the text between `<!-- name -->` and `<!-- /name -->`, and nothing else.
 
     Raises:
-      RunError: the document has not the two markers, or cannot be read or written.
+      RunError: the document lacks the markers, or cannot be read or written.
     """
     try:
         before, _, after = _split(path, name)
@@ -21,15 +21,15 @@ def put(path: Path, name: str, content: str) -> None:
 
 
 def read(path: Path, name: str) -> str:
-    """What stands there; raises RunError where the document has not the two markers."""
+    """Returns the text between the markers; raises RunError if the document lacks them."""
     return _split(path, name)[1].strip()
 
 
 def _split(path: Path, name: str) -> tuple[str, str, str]:
-    """What is before, between and after the markers; the first and the last part end and begin with one."""
+    """Returns the text before, between and after the markers; the markers belong to the outer parts."""
     opening, closing = f"<!-- {name} -->", f"<!-- /{name} -->"
     before, found, rest = path.read_text("utf-8").partition(opening)
     between, ended, after = rest.partition(closing)
     if not (found and ended):
-        raise RunError(f"{path} has no place for the {name}, between {opening} and {closing}")
+        raise RunError(f"{path} lacks the markers {opening} and {closing} for the generated {name}")
     return before + opening, between, closing + after

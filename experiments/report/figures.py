@@ -1,4 +1,4 @@
-"""The paper's curves of training and of adaptation, drawn from our runs. Nothing is told by colour alone."""
+"""The paper's curves of training and of adaptation, drawn from our runs. Lines differ in more than colour."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PANEL = (4.3, 3.3)  # inches
 
 
 def draw_panels(path: Path, panels: Sequence[Callable[[Axes], None]]) -> Path:
-    """Draws panels beside one another, at most two in a row."""
+    """Draws panels in a grid, at most two in a row."""
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
     with plt.rc_context(STYLE):
@@ -35,13 +35,13 @@ def draw_panels(path: Path, panels: Sequence[Callable[[Axes], None]]) -> Path:
 
 
 def training_curves(axes: Axes, title: str, lines: Lines, reference: tuple[str, float] | None = None) -> None:
-    """Return, mean over tasks, against env steps: a line a method, the mean over seeds amid its standard deviation.
+    """Draws mean return over tasks against env steps: a line for each method, mean ± standard deviation over seeds.
 
     Args:
-      axes: where.
-      title: what of.
+      axes: the axes to draw on.
+      title: the title.
       lines: the runs of each line.
-      reference: a level to compare with, and its label.
+      reference: label and height of a horizontal line to compare with.
     """
     for index, (label, runs) in enumerate(lines.items()):
         _curve(axes, index, f"{label}, {len(runs)} seed{'s'[: len(runs) > 1]}", [_steps(run) for run in runs])
@@ -51,7 +51,7 @@ def training_curves(axes: Axes, title: str, lines: Lines, reference: tuple[str, 
 
 
 def task_curves(axes: Axes, title: str, run: Run) -> None:
-    """Each training task's return against env steps in one run."""
+    """Draws the return of each training task against env steps in one run."""
     for index, task in enumerate(run.last["returns"]):
         _curve(axes, index, task, [{row["env_steps"]: row["returns"][task] for row in run.rows}])
     _finish(axes, title, columns=5)
@@ -62,7 +62,7 @@ def _steps(run: Run) -> dict[int, float]:
 
 
 def _curve(axes: Axes, index: int, label: str, curves: Sequence[dict[int, float]]) -> None:
-    """The mean of curves where all of them have a value, and their sample standard deviation."""
+    """Draws the mean of curves and their sample standard deviation, at the steps that all of them have."""
     shared = sorted(set.intersection(*map(set, curves)))
     values = np.array([[curve[step] for step in shared] for curve in curves])  # [seeds, steps]
     every = max(1, len(shared) // 8)
@@ -79,14 +79,14 @@ def _finish(axes: Axes, title: str, columns: int = 2) -> None:
 
 
 def _short(steps: float, _: int) -> str:
-    """Env steps on an axis, as in 400k and 1.2M."""
+    """Formats env steps on an axis, as in 400k and 1.2M."""
     if steps >= 1e6:
         return f"{steps / 1e6:g}M"
     return f"{steps / 1e3:g}k" if steps else "0"
 
 
 def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
-    """Return on unseen tasks, their mean, against env steps a task: of what was found, and of what it came from."""
+    """Draws mean return on unseen tasks against env steps a task: of the LTE found, and of the search's episodes."""
     for index, (label, runs) in enumerate(lines.items()):
         style = look(index)
         searched = [task for run in runs for task in run.of_seed("adaptation", "tasks") if task["epochs"]]
@@ -94,7 +94,7 @@ def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
         played, mapped = (
             float(np.mean([_steps_a_task(run, key) for run in runs])) for key in ("env_steps", "map_env_steps")
         )
-        for name, what, line in (("reevaluated", "found", "-"), ("best_of_epoch", "found from", "--")):
+        for name, what, line in (("reevaluated", "fresh episodes", "-"), ("best_of_epoch", "search episodes", "--")):
             mean = np.mean([[epoch[name] for epoch in task["epochs"][:epochs]] for task in searched], axis=0)
             look_of = {**style, "linestyle": line, "fillstyle": "full" if line == "-" else "none"}
             steps = played / epochs * np.arange(1, len(mean) + 1)
@@ -110,6 +110,6 @@ def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
 
 
 def _steps_a_task(run: Run, key: str) -> float:
-    """Environment steps that adaptation played for each task; those of the map are shared by all."""
+    """Returns the env steps that adaptation played for each task. The steps of the map are shared by all tasks."""
     document = run.document("adaptation") or {}
     return document.get(key, 0) / len(document["tasks"])

@@ -1,4 +1,4 @@
-"""Numbers as text."""
+"""Numbers and names as text."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ VARIANTS = {
     "+no-norm": " without normalisation",
     "+no-noise+no-norm": " without either",
     "+wide": ", twice as wide",
-    "+gathered": ", LTEs gathered at first",
+    "+gathered": ", LTEs gathered at the start",
 }
 
 
 def label(method: Method) -> str:
-    """An agent, and what is other in it."""
+    """Returns the name of an agent and of its variant."""
     return NAMES[method.agent] + VARIANTS[method.variant]
 
 
 def number(value: float, digits: int = 1) -> str:
-    """With a real minus, thousands apart, and no negative zero."""
+    """Formats a number with a typographic minus, thousands separators and no negative zero."""
     return f"{value:z,.{digits}f}".replace("-", "−")
 
 
@@ -63,19 +63,19 @@ def percent(share: float, digits: int = 1) -> str:
 
 
 def lack(runs: Sequence[Any]) -> str:
-    """Why there is nothing of ours, where there are these runs."""
+    """Returns the reason a result is missing, given the runs that exist."""
     return NO_ANALYSIS if runs else NO_RUN
 
 
 def spread(values: Sequence[float], digits: int = 1) -> str:
-    """Mean ± sample standard deviation of one value a seed, or the one value."""
+    """Formats mean ± sample standard deviation over seeds, or the value of a single seed."""
     if len(values) == 1:
         return number(values[0], digits)
     return f"{number(float(np.mean(values)), digits)} ± {number(float(np.std(values, ddof=1)), digits)}"
 
 
 def printed(cell: Any) -> str:
-    """A cell of the paper's, as `paper.json` has it."""
+    """Formats a cell of `paper.json`."""
     if isinstance(cell, dict) and "mean" in cell:
         return f"{number(cell['mean'])} ± {number(cell['std'], 2)}"
     if isinstance(cell, dict):
@@ -87,7 +87,7 @@ def printed(cell: Any) -> str:
 
 
 def interval(statistic: Callable[..., np.ndarray], *scores: np.ndarray, digits: int = 1) -> str:
-    """A statistic of scores [seeds, tasks] with its 95 % interval; of a single seed there is none."""
+    """Formats a statistic of scores [seeds, tasks] with its 95 % interval; a dash for a single seed."""
     if min(map(len, scores)) < 2:
         return MISSING
     low, high = bootstrap_interval(statistic, *scores)
@@ -95,6 +95,6 @@ def interval(statistic: Callable[..., np.ndarray], *scores: np.ndarray, digits: 
 
 
 def span(values: Sequence[float], show: Callable[[Any], str]) -> str:
-    """One value, or the least and the most of several."""
+    """Formats a range: one value, or the least and the most of several."""
     low, high = min(values), max(values)
     return show(low) if low == high else f"{show(low)} to {show(high)}"

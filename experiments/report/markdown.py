@@ -8,7 +8,7 @@ from experiments.report.blocks import Block, Picture, Points, Section, Table
 
 
 def document(title: str, lead: Sequence[Block], sections: Sequence[Section]) -> str:
-    """The whole report in one file."""
+    """Renders the whole report as one file."""
     parts = [f"# {title}", *map(block, lead)]
     for section in sections:
         parts += [f"## {section.title}", *map(block, section.blocks)]
@@ -16,7 +16,7 @@ def document(title: str, lead: Sequence[Block], sections: Sequence[Section]) -> 
 
 
 def block(one: Block) -> str:
-    """One block; a picture as a link to its file."""
+    """Renders a block; a picture is a link to its file."""
     if isinstance(one, Table):
         return f"{text(one.caption)}\n\n{table(one)}"
     if isinstance(one, Points):
@@ -27,11 +27,11 @@ def block(one: Block) -> str:
 
 
 def table(one: Table) -> str:
-    """A table without its caption."""
+    """Renders a table without its caption."""
     rule = ["---"] * len(one.columns)
     return "\n".join("| " + " | ".join(map(text, row)) + " |" for row in (one.columns, rule, *one.rows))
 
 
 def text(words: str) -> str:
-    """Plain words; nothing in them is taken for HTML or the end of a cell."""
+    """Escapes a text, so that nothing in it is read as HTML or as the end of a cell."""
     return words.replace("&", "&amp;").replace("<", "&lt;").replace("|", "\\|").replace("\n", " ")

@@ -1,4 +1,4 @@
-"""Sections as one HTML page that needs no network and no script."""
+"""Sections as one HTML page without scripts or network access."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ summary { cursor: pointer; color: var(--link); }
 
 
 def page(title: str, lead: Sequence[Block], sections: Sequence[Section]) -> str:
-    """The whole report; `lead` stands before the table of contents."""
+    """Renders the whole report; `lead` precedes the table of contents."""
     parts = [
         f"<h1>{text(title)}</h1>",
         *map(block, lead),
@@ -67,7 +67,7 @@ def page(title: str, lead: Sequence[Block], sections: Sequence[Section]) -> str:
 
 
 def contents(sections: Sequence[Section]) -> str:
-    """A list of links to the sections, with what is missing marked."""
+    """Renders the table of contents; sections whose results are missing are marked."""
     entries = "\n".join(
         f'<li><a href="#{section.id}">{text(section.title)}</a>'
         + (f' <span class="lack">{text(section.lack)}</span>' if section.lack else "")
@@ -90,7 +90,7 @@ def block(one: Block) -> str:
 
 
 def table(one: Table) -> str:
-    """A table that scrolls inside its box where it is wider than the screen."""
+    """Renders a table that scrolls inside its box if it is wider than the screen."""
     head = "".join(f'<th scope="col">{text(column)}</th>' for column in one.columns)
     rows = "\n".join(
         f'<tr><th scope="row">{text(first)}</th>' + "".join(f"<td>{text(cell)}</td>" for cell in rest) + "</tr>"
@@ -107,5 +107,5 @@ def table(one: Table) -> str:
 
 
 def text(words: str) -> str:
-    """Escaped; what stands between backticks is code, and no line ends before a %."""
+    """Escapes a text, turns backticks into code, and keeps a % on the line of its number."""
     return re.sub(r"`([^`]+)`", r"<code>\1</code>", html.escape(words)).replace(" %", "&nbsp;%")

@@ -1,156 +1,232 @@
-"""README's tables of results and `docs/results.md`, made from the records, between two markers each."""
+"""The parts of `README.md` and `docs/results.md` that are generated from the records, each between two markers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ear_jax import pretrained
-from experiments.paper import ADAPTATION, EXPERIMENTS, FAMILIES, GATHERED, REACH, RUN_JUMP, WIDE
+from ear_jax.embeddings.map import PLACES
+from experiments.paper import ADAPTATION, CHEETAH, EXPERIMENTS, FAMILIES, GATHERED, REACH, RUN_JUMP, WIDE
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
-from experiments.report.comparison import comparison
-from experiments.report.formatting import MISSING, NAMES, VARIANTS, count, label, number, percent, printed, span
-from experiments.report.measures import paper_budget, paper_counts, paper_return, returns, successes, unit
+from experiments.report.comparison import comparison, is_level
+from experiments.report.formatting import MISSING, NAMES, VARIANTS, count, label, number, percent, printed, span, spread
+from experiments.report.measures import (
+    mean_return,
+    paper_budget,
+    paper_counts,
+    paper_return,
+    returns,
+    successes,
+    unit,
+)
 from experiments.report.run_index import Run, RunIndex
 from experiments.report.sections import TABLES, describe_machine, machine, title
 
 ROOT = Path(__file__).parents[2]
 README, DETAILS = ROOT / "README.md", ROOT / "docs" / "results.md"
-PLACE = "results"
-TOLD = (*FAMILIES, RUN_JUMP, REACH)
-COLUMNS = ("family", "return", "the paper", "midway", "between", "from a map", "minutes a seed")
+HEADLINE, RESULTS = "headline", "results"  # the names of the markers
+SHOWN = (*FAMILIES, RUN_JUMP, REACH)
+COLUMNS = ("family", "return", "paper's return", "midway", "between", "seeds", "minutes a seed")
+DETAILED_COLUMNS = ("family", "return", "paper's return", "midway", "between", "error from a map", "minutes a seed")
 
 
-def rewrite(found: RunIndex) -> list[Path]:
-    """Puts the results into both documents; raises RunError where one has no place for them, or cannot be written."""
-    documents.put(README, PLACE, results(found))
-    documents.put(DETAILS, PLACE, details(found))
+def rewrite(index: RunIndex) -> list[Path]:
+    """Writes the generated parts of both documents.
+
+    Raises:
+      RunError: a document lacks its markers or cannot be written.
+    """
+    documents.put(README, HEADLINE, headline(index))
+    documents.put(README, RESULTS, results(index))
+    documents.put(DETAILS, RESULTS, details(index))
     return [README, DETAILS]
 
 
-def details(found: RunIndex) -> str:
-    """Every table, and in words where we agree with the paper."""
-    parts = [*map(markdown.block, comparison(found).blocks)]
-    for id, build in TABLES.items():
-        parts += [f"## {title(EXPERIMENTS[id])}", *map(markdown.block, build(found))]
-    return "\n\n".join(parts)
+def headline(index: RunIndex) -> str:
+    """Returns README's first result: how often a blend of the cheetah's speeds works, and what the policy returns."""
+    runs, paper = index.runs(CHEETAH), paper_return(CHEETAH, "ear")
+    met, theirs = successes(runs, "mid_task"), paper_counts(CHEETAH, "mid_task")
+    if not (met and theirs and paper):
+        return "HalfCheetah-Vel has no analysed run yet."
+    level = "level with" if is_level(runs, paper) else "short of"
+    steps = float(np.mean([run.last["env_steps"] for run in runs])) / paper_budget(CHEETAH)[0]
+    return (
+        f"**HalfCheetah-Vel: for {met} pairs of neighbouring trained speeds, some blend runs at the speed midway** "
+        f"(the paper: {printed(theirs)}). On the trained speeds the policy returns {returns(runs)}, {level} the "
+        f"paper's {printed(paper)}, after {percent(steps, 0)} of the paper's env steps{_time(runs)}."
+    )
 
 
-def results(found: RunIndex) -> str:
-    """EAR on every family, all methods on the cheetah, OHE-SAC with and without its one-hot, and notes on the runs."""
-    runs = {family: found.runs(family) for family in TOLD}
-    methods = [(family, variant) for family in TOLD for variant in ("", WIDE, GATHERED)]
-    rows = [_family(*method, shown) for method in methods if (shown := found.runs(method[0], variant=method[1]))]
-    parts = [
-        markdown.table(Table("", COLUMNS, rows)),
-        HOW_TO_READ,
-        _budget(runs),
-        *_shipped(found),
-        "Other methods, and EAR-SAC with a part left out, on HalfCheetah-Vel, each in the budget of `fast`:",
-        markdown.table(Table("", ("method", "return", "the paper"), _methods(found))),
-        "OHE-SAC, ours with its one-hot and with that zeroed, beside the paper's:",
-        markdown.table(Table("", ("family", "OHE-SAC", "one-hot zeroed", "the paper's"), _one_hot(found))),
-        *_machines([run for family in TOLD for run in runs[family]]),
-        *(_note(run) for family in TOLD for run in runs[family]),
-    ]
-    return "\n\n".join(filter(None, parts))
+def results(index: RunIndex) -> str:
+    """Returns README's table: EAR beside the paper, with a row for each family."""
+    rows = []
+    for family in SHOWN:
+        runs = index.runs(family)
+        if runs:
+            returned = spread([mean_return(run) for run in runs])
+            blended = [_successes(family, runs, measure).replace(" of ", "/") for measure in ("mid_task", "one_to_one")]
+            last = count(len(runs)), _minutes(runs).replace(" to ", "–") or MISSING
+            rows.append([NAMES[family], returned, _paper_return(family), *blended, *last])
+    return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{HOW_TO_READ}"
 
 
 HOW_TO_READ = (
-    "*Return*: the mean over training tasks, ± over seeds. *Midway*: pairs of neighbouring tasks of which a blend "
-    "meets the value midway. *Between*: pairs whose half-and-half blend lies between the two; in brackets the paper's. "
-    "*From a map*: mean error on tasks never trained on, of the embedding that one map of 500 episodes gives for all."
+    "*Return*: the mean over the training tasks, ± over seeds. *Midway*: pairs of neighbouring tasks for which some "
+    "blend of their LTEs meets the value midway. *Between*: pairs whose half-and-half blend lies between the two. In "
+    "brackets: the paper."
+)
+FROM_A_MAP = (
+    f"*Error from a map*: the mean error on tasks never trained on, when their LTEs are read off one map of {PLACES} "
+    "episodes."
 )
 
 
-def _family(family: str, variant: str, runs: list[Run]) -> list[str]:
-    paper = paper_return(family, "ear")
-    theirs = "a curve" if family == REACH else MISSING
+def details(index: RunIndex) -> str:
+    """Returns all of `docs/results.md` that is generated: our runs, the comparison in words, and every table."""
+    compared = comparison(index)
+    parts = [*_our_runs(index), *_methods(index), f"## {compared.title}", *map(markdown.block, compared.blocks)]
+    for id, build in TABLES.items():
+        parts += [f"## {title(EXPERIMENTS[id])}", *map(markdown.block, build(index))]
+    return "\n\n".join(parts)
+
+
+def _our_runs(index: RunIndex) -> list[str]:
+    """Returns the section on EAR: every family and variant, their budgets, machines, and notes on single runs."""
+    runs = {family: index.runs(family) for family in SHOWN}
+    variants = [(family, variant) for family in SHOWN for variant in ("", WIDE, GATHERED)]
+    rows = [_detailed(*method, shown) for method in variants if (shown := index.runs(method[0], variant=method[1]))]
+    parts = [
+        "## EAR on every family",
+        markdown.table(Table("", DETAILED_COLUMNS, rows)),
+        f"{HOW_TO_READ} {FROM_A_MAP}",
+        _budget(runs),
+        *_shipped(index),
+        *_machines([run for family in SHOWN for run in runs[family]]),
+        *(_note(run) for family in SHOWN for run in runs[family]),
+    ]
+    return [part for part in parts if part]
+
+
+def _methods(index: RunIndex) -> list[str]:
+    """Returns the section on the other methods and on EAR with a part left out."""
     return [
-        NAMES[family] + VARIANTS[variant],
-        returns(runs),
-        printed(paper) if paper else theirs,
-        *(_successes(family, runs, what) for what in ("mid_task", "one_to_one")),
-        _mapped(family, runs),
-        span([run.minutes for run in runs if run.config.seeds == 1], lambda minutes: number(minutes, 0)),
+        "## Other methods",
+        "HalfCheetah-Vel: other methods, and EAR-SAC with a part left out, each with the budget of `fast`.",
+        markdown.table(Table("", ("method", "return", "paper's return"), _method_rows(index))),
+        "In the authors' code the replay holds zeros in place of the one-hot, so the paper's OHE-SAC is a policy that "
+        "does not see its task. Ours, with its one-hot and with the one-hot zeroed, beside it:",
+        markdown.table(Table("", ("family", "OHE-SAC", "one-hot zeroed", "the paper's"), _one_hot_rows(index))),
     ]
 
 
-def _successes(family: str, runs: list[Run], what: str) -> str:
-    counted, theirs = successes(runs, what), paper_counts(family, what)
+def _detailed(family: str, variant: str, runs: list[Run]) -> list[str]:
+    return [
+        NAMES[family] + VARIANTS[variant],
+        returns(runs),
+        _paper_return(family),
+        *(_successes(family, runs, measure) for measure in ("mid_task", "one_to_one")),
+        _error_from_map(family, runs),
+        _minutes(runs) or MISSING,
+    ]
+
+
+def _paper_return(family: str) -> str:
+    paper = paper_return(family, "ear")
+    without = "only a curve" if family == REACH else MISSING
+    return printed(paper) if paper else without
+
+
+def _minutes(runs: Sequence[Run]) -> str:
+    """Returns the minutes that seeds trained alone took, as a range; empty where all were trained side by side."""
+    alone = [run.minutes for run in runs if run.config.seeds == 1]
+    return span(alone, lambda minutes: number(minutes, 0)) if alone else ""
+
+
+def _time(runs: Sequence[Run]) -> str:
+    """Returns the end of a sentence on the time a seed took by itself; empty where all were trained side by side."""
+    cores = {run.about["machine"]["cores"] for run in runs if run.config.seeds == 1}
+    if not cores:
+        return ""
+    return f": {_minutes(runs)} minutes a seed on {'one CPU core' if cores == {1} else 'a CPU'}"
+
+
+def _successes(family: str, runs: list[Run], measure: str) -> str:
+    counted, theirs = successes(runs, measure), paper_counts(family, measure)
     return (str(counted) if counted else MISSING) + (f" ({printed(theirs)})" if theirs else "")
 
 
-def _mapped(family: str, runs: list[Run]) -> str:
+def _error_from_map(family: str, runs: list[Run]) -> str:
     tasks = [task for run in runs for task in run.of_seed(ADAPTATION.name, "tasks")]
     errors = [task["zero_shot"]["error"] for task in tasks if task.get("zero_shot")]
     return f"{number(float(np.mean(errors)), 2)} {unit(family)}" if errors else MISSING
 
 
 def _budget(runs: dict[str, list[Run]]) -> str:
-    """What a run of each family costs beside the paper's, in a sentence; empty without runs."""
-    said = []
+    """Returns a sentence on the env steps and updates of a run of each family; empty without runs."""
+    budgets = []
     for family in FAMILIES:
         if runs[family]:
             steps, updates = paper_budget(family)
             last = runs[family][0].last
             shares = percent(last["env_steps"] / steps, 0), percent(last["updates"] / updates, 0)
-            said.append(
+            budgets.append(
                 f"{NAMES[family]} {count(last['env_steps'])} ({shares[0]}) and {count(last['updates'])} ({shares[1]})"
             )
-    return f"Env steps and updates a seed, and of the paper's: {'; '.join(said)}." if said else ""
+    if not budgets:
+        return ""
+    return f"Env steps and updates of a seed, in brackets as a share of the paper's: {'; '.join(budgets)}."
 
 
-def _shipped(found: RunIndex) -> list[str]:
-    """Of each agent that ships but is of none of the runs told of: what trained it, and what it returns."""
-    told = {run.name for run in found.all()}
+def _shipped(index: RunIndex) -> list[str]:
+    """Returns a paragraph for each shipped agent whose run is not in the table: its training and its return."""
+    listed = {run.name for run in index.all()}
     return [
-        f"`{pretrained.PREFIX}{card['name']}` is of a run of its own: seed {card['seed']} of `{card['command']}`, "
-        f"{count(card['env_steps'])} env steps and {count(card['updates'])} updates in {number(card['minutes'])} "
-        f"minutes on {describe_machine(card['machine'], card['side_by_side'])}. "
-        f"It returns {number(card['mean_return'])}."
+        f"`{pretrained.PREFIX}{card['name']}` comes from a run that is not in the table: seed {card['seed']} of "
+        f"`{card['command']}`, {count(card['env_steps'])} env steps and {count(card['updates'])} updates in "
+        f"{number(card['minutes'])} minutes on {describe_machine(card['machine'], card['side_by_side'])}. Its return "
+        f"is {number(card['mean_return'])}."
         for card in map(pretrained.card, pretrained.names())
-        if card["record"] not in told
+        if card["record"] not in listed
     ]
 
 
-def _methods(found: RunIndex) -> list[list[str]]:
+def _method_rows(index: RunIndex) -> list[list[str]]:
     rows = []
     for method in EXPERIMENTS["agents"].methods:
-        runs = found.of(method)
         paper = None if method.variant else paper_return(method.family, method.agent)
-        rows.append([label(method), returns(runs), printed(paper) if paper else MISSING])
+        rows.append([label(method), returns(index.of(method)), printed(paper) if paper else MISSING])
     return rows
 
 
-def _one_hot(found: RunIndex) -> list[list[str]]:
-    """OHE-SAC with its one-hot and without, beside the paper's, on each family."""
+def _one_hot_rows(index: RunIndex) -> list[list[str]]:
     rows = []
     for family in FAMILIES:
-        ours = [returns(found.runs(family, agent)) for agent in ("onehot", "onehot-blind")]
+        ours = [returns(index.runs(family, agent)) for agent in ("onehot", "onehot-blind")]
         paper = paper_return(family, "onehot")
         rows.append([NAMES[family], *ours, printed(paper) if paper else MISSING])
     return rows
 
 
 def _machines(runs: list[Run]) -> list[str]:
-    """What each family was trained on, in a sentence; none without runs."""
+    """Returns a sentence on the machines the families were trained on; nothing without runs."""
     families: dict[str, list[str]] = {}
     for run in runs:
         together = f" in {number(run.minutes)} minutes" if run.config.seeds > 1 else ""
         families.setdefault(machine(run) + together, []).append(NAMES[run.config.family])
-    said = "; ".join(f"{', '.join(dict.fromkeys(names))} on {where}" for where, names in families.items())
-    return [f"Trained: {said}."] if said else []
+    trained = "; ".join(f"{', '.join(dict.fromkeys(names))} on {where}" for where, names in families.items())
+    return [f"Trained on shared machines: {trained}."] if trained else []
 
 
 def _note(run: Run) -> str:
-    """Of a run that was stopped before its end, or whose preset is another today; otherwise empty."""
-    last, config, said = run.last, run.config, []
+    """Returns a sentence on a run that was stopped early or whose preset has changed since; otherwise empty."""
+    last, config, notes = run.last, run.config, []
     if last["epoch"] < config.epochs and not (config.minutes and last["seconds"] >= 60 * config.minutes):
-        said.append(f"was stopped at epoch {count(last['epoch'])} of {count(config.epochs)}")
+        notes.append(f"was stopped at epoch {count(last['epoch'])} of {count(config.epochs)}")
     if run.changes:
         settings = ", ".join(f"`{name}` {value}" for name, value in run.changes.items())
-        said.append(f"has settings that `{config.preset}` has otherwise today: {settings}")
-    return f"`{run.name}`, of commit {run.made['commit']}, {'; it '.join(said)}." if said else ""
+        notes.append(f"has settings that differ from today's `{config.preset}`: {settings}")
+    return f"`{run.name}`, of commit {run.about['commit']}, {'; it '.join(notes)}." if notes else ""

@@ -1,4 +1,4 @@
-"""The runs that are recorded, by method; what each reached, and under what settings."""
+"""The recorded runs by method, with their settings and metrics."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ Key = tuple[str, str, str]  # family, agent, preset with its variants
 class Run:
     """One seed of a recorded run."""
 
-    name: str  # of its directory among the records
+    name: str  # of its directory in the records
     seed: int
-    made: dict[str, Any]  # its config.json
-    rows: list[dict[str, Any]]  # its metrics, a row a block
+    about: dict[str, Any]  # config.json
+    rows: list[dict[str, Any]]  # metrics.jsonl, one row for each block of epochs
 
     @property
-    def place(self) -> Path:
+    def directory(self) -> Path:
         return inventory.RECORDS / self.name
 
     @property
@@ -45,42 +45,45 @@ class Run:
 
     @cached_property
     def config(self) -> Config:
-        """Its settings; those that are no more are left out, and those that came later had their defaults.
+        """The run's settings.
 
-        If flags made them those of a preset's variant, they are called that.
+        Settings that no longer exist are dropped; settings added since have their defaults. A run whose flags amount
+        to a variant of the preset is named as that variant.
         """
         known = dataclasses.asdict(Config(family=""))
 
         def keep(tree: dict[str, Any], known: dict[str, Any]) -> dict[str, Any]:
             kept = {name: value for name, value in tree.items() if name in known}
-            return {name: keep(one, known[name]) if isinstance(one, dict) else one for name, one in kept.items()}
+            return {
+                name: keep(value, known[name]) if isinstance(value, dict) else value for name, value in kept.items()
+            }
 
-        return _named(from_dict(keep(self.made["config"], known)))
+        return _named(from_dict(keep(self.about["config"], known)))
 
     @property
     def command(self) -> str:
-        """What trains it with today's presets, all its seeds together."""
+        """The command that trains the run with today's presets, all its seeds together."""
         return command_line(self.config)
 
     @cached_property
     def changes(self) -> dict[str, Any]:
-        """Settings that its preset has otherwise today, as this run had them; not what only bounds or watches a run."""
+        """Settings of this run that differ from its preset today; budget, logging and checkpoints do not count."""
         return _changes(self.config)
 
     def document(self, name: str) -> dict[str, Any] | None:
-        """An analysis of the run; None where there is none.
+        """Returns an analysis of the run; None if there is none.
 
         Raises:
-          RunError: it is there and is no JSON document.
+          RunError: the file is not a JSON document.
         """
-        path = self.place / f"{name}.json"
+        path = self.directory / f"{name}.json"
         if not path.is_file():
             return None
         return _read(path)
 
     def of_seed(self, name: str, key: str) -> list[dict[str, Any]]:
-        """What an analysis says of this seed under a key; empty where there is none."""
-        return [one for one in (self.document(name) or {}).get(key, []) if one["seed"] == self.seed]
+        """Returns the entries of an analysis under a key that belong to this seed; empty without the analysis."""
+        return [entry for entry in (self.document(name) or {}).get(key, []) if entry["seed"] == self.seed]
 
 
 class RunIndex:
@@ -98,7 +101,7 @@ class RunIndex:
                 seeds[run.seed] = run
 
     def runs(self, family: str, agent: str = "ear", variant: str = "") -> list[Run]:
-        """A method's runs in the order of their seeds; of two of one seed that of today's settings, or more updates."""
+        """Returns a method's runs, one for each seed; of two with one seed, today's settings win, then more updates."""
         seeds = self._runs.get((family, agent, self.preset + variant), {})
         return [seeds[seed] for seed in sorted(seeds)]
 
@@ -106,7 +109,7 @@ class RunIndex:
         return self.runs(method.family, method.agent, method.variant)
 
     def behind(self, experiment: Experiment) -> list[Run]:
-        """Every run that an experiment can use."""
+        """Returns every run that an experiment can use."""
         return [run for method in experiment.methods for run in self.of(method)]
 
     def all(self) -> list[Run]:
@@ -114,13 +117,13 @@ class RunIndex:
 
 
 def _all_runs() -> list[Run]:
-    """Each seed of each record that has settings and at least one row."""
-    found = []
+    """Returns each seed of each record that has a configuration and at least one row of metrics."""
+    runs = []
     for path in sorted(inventory.RECORDS.glob("*/config.json")):
-        made, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
+        about, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
         for seed in sorted({row["seed"] for row in rows}):
-            found.append(Run(path.parent.name, seed, made, [row for row in rows if row["seed"] == seed]))
-    return found
+            runs.append(Run(path.parent.name, seed, about, [row for row in rows if row["seed"] == seed]))
+    return runs
 
 
 def _changes(config: Config) -> dict[str, Any]:
@@ -131,9 +134,9 @@ def _changes(config: Config) -> dict[str, Any]:
 
 
 def _named(config: Config) -> Config:
-    """The same settings under the name that today's presets have for them, where it is a variant's."""
+    """Returns the settings under the name of the variant that they equal, or unchanged."""
     for variant in VARIANTS if _changes(config) else ():
-        with contextlib.suppress(UsageError):  # an agent that has no use for it
+        with contextlib.suppress(UsageError):  # the agent does not read what the variant sets
             named = dataclasses.replace(config, preset=f"{config.preset}+{variant}")
             if not _changes(named):
                 return named
@@ -141,12 +144,12 @@ def _named(config: Config) -> Config:
 
 
 def _rank(run: Run) -> tuple[bool, int]:
-    """By which of two runs of one seed is taken: today's settings count first, then updates."""
+    """Ranks runs of the same seed: today's settings first, then the number of updates."""
     return not run.changes, run.last["updates"]
 
 
 def _other_tasks(run: Run) -> bool:
-    """Whether a run was scored otherwise than its preset's: other tasks, or another reward."""
+    """Returns True if a run has other tasks or another reward than its preset, so that returns do not compare."""
     return any(name == "tasks" or name.startswith("env.") for name in run.changes)
 
 

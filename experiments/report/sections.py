@@ -1,4 +1,4 @@
-"""A section for each of the paper's tables and figures, and one for the runs they are made of."""
+"""A section for each of the paper's tables and figures, and one for the runs behind them."""
 
 from __future__ import annotations
 
@@ -51,75 +51,75 @@ FIGURES: dict[str, Callable[[str, RunIndex, Path], list[Block]]] = {
 }
 
 
-def section(experiment: Experiment, found: RunIndex, out: Path) -> Section:
-    """What there is of one table or figure; draws its pictures into `out`/figures."""
+def section(experiment: Experiment, index: RunIndex, out: Path) -> Section:
+    """Builds the section of one table or figure; draws its pictures into `out`/figures."""
     if experiment.id in TABLES:
-        blocks = TABLES[experiment.id](found)
+        blocks = TABLES[experiment.id](index)
     else:
-        blocks = FIGURES[experiment.id](experiment.id, found, out) or [f"{lack(found.behind(experiment))}."]
+        blocks = FIGURES[experiment.id](experiment.id, index, out) or [f"{lack(index.behind(experiment))}."]
     if not experiment.methods:
         return Section(experiment.id, title(experiment), blocks)
-    made = f"`python -m experiments reproduce {experiment.id} --preset {found.preset}` makes it."
-    blocks = [made, *blocks, _runs_behind(experiment, found)]
-    return Section(experiment.id, title(experiment), blocks, _lack(experiment, found))
+    how_to = f"Reproduce it with `python -m experiments reproduce {experiment.id} --preset {index.preset}`."
+    blocks = [how_to, *blocks, _runs_behind(experiment, index)]
+    return Section(experiment.id, title(experiment), blocks, _lack(experiment, index))
 
 
 def title(experiment: Experiment) -> str:
     return f"{experiment.id.replace('-', ' ').capitalize()}: {experiment.shows}"
 
 
-def _lack(experiment: Experiment, found: RunIndex) -> str:
-    """Why there is nothing of ours to show, or an empty string."""
-    runs = [(run, method.analyses) for method in experiment.methods for run in found.of(method)]
-    shown = any(not analyses or any(run.document(one.name) for one in analyses) for run, analyses in runs)
+def _lack(experiment: Experiment, index: RunIndex) -> str:
+    """Returns the reason our results are missing, or an empty string."""
+    runs = [(run, method.analyses) for method in experiment.methods for run in index.of(method)]
+    shown = any(not analyses or any(run.document(analysis.name) for analysis in analyses) for run, analyses in runs)
     return "" if shown else lack(runs).removeprefix(f"{MISSING}, ")
 
 
-def _runs_behind(experiment: Experiment, found: RunIndex) -> Table:
-    """The commands behind an experiment, a row a run and analysis, and methods that have no run."""
+def _runs_behind(experiment: Experiment, index: RunIndex) -> Table:
+    """Returns a table of the commands behind an experiment: each run and analysis, and methods without a run."""
     rows = []
     for method in experiment.methods:
-        runs = found.of(method)
+        runs = index.of(method)
         for run in runs:
             rows.append([run.name, run.command, *facts(run)])
-            rows += [[f"{run.name}: {one.name}", *_made(run.document(one.name))] for one in method.analyses]
+            rows += [[f"{run.name}: {one.name}", *_provenance(run.document(one.name))] for one in method.analyses]
         if not runs:
             name = f"{NAMES[method.family]}, {label(method)}"
             rows.append([name, NO_RUN, *[MISSING] * 5])
     rows = [[name, f"`{command}`" if command.startswith("ear ") else command, *rest] for name, command, *rest in rows]
     columns = ("run", "command", "env steps", "updates", "minutes", "commit", "machine")
-    return Table("Runs and analyses behind it.", columns, rows, folded=True)
+    return Table("Runs and analyses behind this.", columns, rows, folded=True)
 
 
-def _made(document: dict[str, Any] | None) -> list[str]:
-    """By what an analysis was made, and from what commit and where."""
+def _provenance(document: dict[str, Any] | None) -> list[str]:
+    """Returns the command, commit and machine of an analysis."""
     if document is None:
-        return ["not made yet", *[MISSING] * 5]
+        return ["not analysed yet", *[MISSING] * 5]
     where = document.get("machine", {}).get("processor", MISSING)
     command = document.get("command", "command not recorded")
     return [command, *[MISSING] * 3, document.get("commit") or MISSING, where]
 
 
 def facts(run: Run) -> list[str]:
-    """Budget, commit and machine of a run."""
+    """Returns budget, commit and machine of a run."""
     last = run.last
     spent = [count(last["env_steps"]), count(last["updates"]), number(run.minutes)]
-    return [*spent, run.made["commit"] or MISSING, machine(run)]
+    return [*spent, run.about["commit"] or MISSING, machine(run)]
 
 
 def machine(run: Run) -> str:
-    """What trained a run, and beside how many."""
-    return describe_machine(run.made["machine"], run.config.seeds)
+    """Describes the machine of a run and the number of seeds beside it."""
+    return describe_machine(run.about["machine"], run.config.seeds)
 
 
 def describe_machine(where: dict[str, Any], seeds: int) -> str:
-    """A machine as records have it, and how many seeds it trained side by side."""
+    """Describes a machine as records have it, and the number of seeds it trained side by side."""
     processor = f"{where['processor']}, {where['cores']} core{'s'[: where['cores'] > 1]}"
     return where.get("accelerator", processor) + (f", {seeds} seeds side by side" if seeds > 1 else "")
 
 
-def all_runs(found: RunIndex) -> Section:
-    """Every run of the preset, with how far it went and what its settings were then."""
+def all_runs(index: RunIndex) -> Section:
+    """Builds the section of all runs: epochs done, budget, machine, and settings that have changed since."""
     rows = [
         [
             run.name,
@@ -128,16 +128,16 @@ def all_runs(found: RunIndex) -> Section:
             *facts(run),
             ", ".join(f"{name} {value}" for name, value in run.changes.items()) or "none",
         ]
-        for run in found.all()
+        for run in index.all()
     ]
-    columns = ("run", "seed", "epochs", "env steps", "updates", "minutes", "commit", "machine", "other settings then")
+    columns = ("run", "seed", "epochs", "env steps", "updates", "minutes", "commit", "machine", "settings that differ")
     caption = (
-        f"Recorded runs of `{found.preset}`: epochs done of those they were begun with, and settings that the preset "
-        "has otherwise today."
+        f"Recorded runs of `{index.preset}`: epochs done out of those planned, and settings that differ from today's "
+        "preset."
     )
     blocks: list[Block] = [Table(caption, columns, rows)] if rows else [f"{NO_RUN}."]
     return Section("runs", "Runs", blocks)
 
 
-def all_sections(found: RunIndex, out: Path) -> list[Section]:
-    return [section(experiment, found, out) for experiment in EXPERIMENTS.values()]
+def all_sections(index: RunIndex, out: Path) -> list[Section]:
+    return [section(experiment, index, out) for experiment in EXPERIMENTS.values()]

@@ -1,4 +1,4 @@
-"""The paper's tables of settings, 2 and 3, beside those of our preset."""
+"""The paper's tables of settings, 2 and 3, beside our preset."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ OURS: dict[str, Callable[[Config], Any]] = {
 }
 
 
-def hyperparameters(found: RunIndex) -> list[Block]:
-    """Table 2; layers are hidden ones, as the paper counts them."""
+def hyperparameters(index: RunIndex) -> list[Block]:
+    """Returns table 2; only hidden layers are counted, as in the paper."""
     data = numbers()["table-2"]
-    configs = [preset_config(group.split(" and ")[0], found.preset) for group in data["columns"][1:]]
+    configs = [preset_config(group.split(" and ")[0], index.preset) for group in data["columns"][1:]]
     rows = []
     for name, *theirs in data["panels"][""]:
         ours = [_cell(OURS[name](config)) for config in configs]
@@ -51,8 +51,8 @@ def hyperparameters(found: RunIndex) -> list[Block]:
         rows.append([name, *(cell for pair in zip(cells, ours, strict=True) for cell in pair)])
     heads = [f"{group}, {whose}" for group in data["columns"][1:] for whose in ("paper", "ours")]
     caption = (
-        f"Settings of EAR-SAC; ours: the preset `{found.preset}` as it is today. The paper's learning rate lost its "
-        "exponent in print."
+        f"Settings of EAR-SAC. Ours: preset `{index.preset}` as it is today. The exponent of the paper's learning rate "
+        "is missing in print."
     )
     return [Table(caption, ("setting", *heads), rows)]
 
@@ -61,23 +61,23 @@ def _cell(value: Any) -> str:
     return count(value) if isinstance(value, int) else printed(value)
 
 
-def training_tasks(found: RunIndex) -> list[Block]:
-    """Table 3; ours as recorded with the runs."""
+def training_tasks(index: RunIndex) -> list[Block]:
+    """Returns table 3; ours as recorded with the runs."""
     data = numbers()["table-3"]
     groups = [group.split(" and ") for group in data["columns"][1:]]
     rows = []
     for name, *theirs in data["panels"][""]:
         ours = [
-            "; ".join(dict.fromkeys(_tasks(found, family, AGENTS[name]) for family in families)) for families in groups
+            "; ".join(dict.fromkeys(_tasks(index, family, AGENTS[name]) for family in families)) for families in groups
         ]
         rows.append([name, *(cell for pair in zip(theirs, ours, strict=True) for cell in pair)])
     heads = [f"{group}, {whose}" for group in data["columns"][1:] for whose in ("paper", "ours")]
-    return [Table("Training tasks; ours as recorded with the runs.", ("method", *heads), rows)]
+    return [Table("Training tasks. Ours: as recorded with the runs.", ("method", *heads), rows)]
 
 
-def _tasks(found: RunIndex, family: str, agent: str) -> str:
-    for run in found.runs(family, agent):
-        tasks = run.made["tasks"]
+def _tasks(index: RunIndex, family: str, agent: str) -> str:
+    for run in index.runs(family, agent):
+        tasks = run.about["tasks"]
         targets = [task["target"] for task in tasks if task["target"] is not None]
         return f"{len(tasks)} tasks from {min(targets):g} to {max(targets):g}" if targets else f"{len(tasks)} tasks"
     return NO_RUN

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
+from ear_jax.envs import Family
+from ear_jax.envs.reach import NEAR
 from experiments.paper import ANT, EXPERIMENTS, FAMILIES, REACH, WIDE, Method, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.formatting import (
@@ -40,61 +43,66 @@ from experiments.statistics import interquartile_mean, probability_of_improvemen
 MEASURES = {"mid_task": "mid-task", "one_to_one": "1:1"}
 HEADS = ("ours", "IQM [95 %]", "P(EAR better) [95 %]", "seeds", "env steps", "updates", "minutes")
 INTERPOLATED = (
-    "Pairs of neighbouring tasks between which interpolation succeeds, all seeds together. Mid-task: some β between "
-    "0.1 and 0.9 meets the value midway, to 5 % of the distance between the two. 1:1: at β = ½ the outcome lies "
-    "between them."
+    "Pairs of neighbouring tasks between which interpolation succeeds, over all seeds. Mid-task: some β between "
+    f"{MID_TASK_RANGE[0]:g} and {MID_TASK_RANGE[1]:g} meets the value midway, to within {100 * REACHED:g} % of the "
+    "distance between the two. 1:1: the outcome at β = ½ lies between the two."
 )
+SOURCE = "Ours: from `ear evaluate`, or else from the last evaluation during training."
 
 
-def all_returns(found: RunIndex) -> list[Block]:
-    """Table 1, a table a family."""
+def all_returns(index: RunIndex) -> list[Block]:
+    """Returns table 1, as one table for each family."""
     methods = EXPERIMENTS["table-1"].methods
-    return [_family_returns(found, family, [one for one in methods if one.family == family]) for family in FAMILIES]
+    return [_family_returns(index, family, [one for one in methods if one.family == family]) for family in FAMILIES]
 
 
-def agents(found: RunIndex) -> list[Block]:
-    """Ours: every agent and variant on one family."""
+def agents(index: RunIndex) -> list[Block]:
+    """Returns a table of our own: every agent and variant on one family."""
     methods = EXPERIMENTS["agents"].methods
-    ablated = {label(method): found.of(method) for method in methods if method.agent == "ear"}
-    blended = [[name, *(share(runs, successes(runs, what)) for what in MEASURES)] for name, runs in ablated.items()]
+    ablated = {label(method): index.of(method) for method in methods if method.agent == "ear"}
+    blended = [
+        [name, *(share(runs, successes(runs, measure)) for measure in MEASURES)] for name, runs in ablated.items()
+    ]
     return [
-        _family_returns(found, methods[0].family, list(methods)),
+        _family_returns(index, methods[0].family, list(methods)),
         Table(INTERPOLATED, ("method", *MEASURES.values()), blended),
     ]
 
 
-def variants(id: str, found: RunIndex) -> list[Block]:
-    """Ours: every family as the preset has it and as a variant of it does."""
+def variants(id: str, index: RunIndex) -> list[Block]:
+    """Returns a table of our own: every family under the preset and under a variant of it."""
     rows = []
     for method in EXPERIMENTS[id].methods:
-        runs = found.of(method)
-        blended = (share(runs, successes(runs, what)) for what in MEASURES)
+        runs = index.of(method)
+        blended = (share(runs, successes(runs, measure)) for measure in MEASURES)
         widest = [f"{max(apart):.0f}°" for run in runs if len(apart := gaps(run))]
         minutes = budget(runs)[-1] if runs else MISSING
-        told = (returns(runs), *blended, ", ".join(widest) or MISSING, share(runs, failed_tasks(runs)), minutes)
-        rows.append([NAMES[method.family], label(method), *told])
+        failed = share(runs, failed_tasks(runs))
+        cells = (returns(runs), *blended, ", ".join(widest) or MISSING, failed, minutes)
+        rows.append([NAMES[method.family], label(method), *cells])
     columns = ("return", *MEASURES.values(), "widest gap", "tasks with an episode that ends early", "minutes")
     caption = (
-        "Returns, pairs of neighbours that blend, the widest angle between the LTEs of such a pair in each seed, and "
-        "failures."
+        "Returns, pairs of neighbouring tasks that blend, the widest angle between the LTEs of neighbours in each "
+        "seed, and tasks with failures."
     )
     return [Table(caption, ("family", "method", *columns), rows)]
 
 
-def reach(found: RunIndex) -> list[Block]:
-    """Ours: Metaworld-Reach, of which the paper has curves and no numbers."""
-    methods, runs = EXPERIMENTS["reach"].methods, found.runs(REACH)
+def reach(index: RunIndex) -> list[Block]:
+    """Returns a table of our own: Metaworld-Reach, for which the paper has curves and no numbers."""
+    methods, runs = EXPERIMENTS["reach"].methods, index.runs(REACH)
     caption = (
-        f"{NAMES[REACH]}: return, mean over the training goals; each of 200 steps is worth 10 within 5 cm of the goal. "
-        "As `ear evaluate` has it, or else the last evaluation of training."
+        f"{NAMES[REACH]}: mean return over the training goals. Each of {Family.episode_length} steps is worth 10 "
+        f"within {100 * NEAR:g} cm of the goal. {SOURCE}"
     )
-    returned = [_method_returns(method, found.of(method), runs) for method in methods]
-    blended = [[name, share(runs, successes(runs, what))] for what, name in MEASURES.items()]
-    reached = [_goals_reached(label(method), found.of(method)) for method in methods]
+    returned = [_method_returns(method, index.of(method), runs) for method in methods]
+    blended = [[name, share(runs, successes(runs, measure))] for measure, name in MEASURES.items()]
+    reached = [_goals_reached(label(method), index.of(method)) for method in methods]
     return [
         Table(caption, ("method", "paper", *HEADS), returned),
         Table(
-            "Goals within 5 cm of the fingertips' mean place in the second half of episodes, and how far it is off.",
+            f"Goals reached to within {100 * NEAR:g} cm, and the distance to the goal. Both by the fingertips' mean "
+            "position over the second half of the episodes.",
             ("method", "goals", "cm, mean", "cm, worst"),
             reached,
         ),
@@ -103,20 +111,21 @@ def reach(found: RunIndex) -> list[Block]:
 
 
 def _goals_reached(name: str, runs: Sequence[Run]) -> list[str]:
-    off = [distance for run in runs for distance in goal_distances(run)]
-    if not off:
+    distances = [distance for run in runs for distance in goal_distances(run)]
+    if not distances:
         return [name, lack(runs), MISSING, MISSING]
-    within = sum(distance <= 0.05 for distance in off)  # where Meta-World's reward is full, and its success
-    return [name, f"{within} of {len(off)}", number(100 * sum(off) / len(off)), number(100 * max(off))]
+    reached = sum(distance <= NEAR for distance in distances)  # Meta-World's own criterion of success
+    mean = sum(distances) / len(distances)
+    return [name, f"{reached} of {len(distances)}", number(100 * mean), number(100 * max(distances))]
 
 
-def _family_returns(found: RunIndex, family: str, methods: list[Method]) -> Table:
+def _family_returns(index: RunIndex, family: str, methods: list[Method]) -> Table:
     steps, updates = paper_budget(family)
     caption = (
-        f"{NAMES[family]}: return, mean over the training tasks. The paper: 3 seeds, for EAR-SAC {count(steps)} env "
-        f"steps and {count(updates)} updates. Ours: as `ear evaluate` has it, or else the last evaluation of training."
+        f"{NAMES[family]}: mean return over the training tasks. The paper: {EXPERIMENTS['table-1'].seeds} seeds, for "
+        f"EAR-SAC {count(steps)} env steps and {count(updates)} updates. {SOURCE}"
     )
-    rows = [_method_returns(method, found.of(method), found.runs(family)) for method in methods]
+    rows = [_method_returns(method, index.of(method), index.runs(family)) for method in methods]
     return Table(caption, ("method", "paper", *HEADS), rows)
 
 
@@ -128,12 +137,12 @@ def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str
     scores, better = score_table(runs), MISSING
     if ear and runs != ear:
         better = interval(probability_of_improvement, score_table(ear), scores, digits=2)
-    reached = spread([mean_return(run) for run in runs])
-    return [*cells, reached, interval(interquartile_mean, scores), better, seeds(runs), *budget(runs)]
+    returned = spread([mean_return(run) for run in runs])
+    return [*cells, returned, interval(interquartile_mean, scores), better, seeds(runs), *budget(runs)]
 
 
 def budget(runs: Sequence[Run]) -> list[str]:
-    """Environment steps, updates and minutes of a method's runs, each from the least to the most."""
+    """Returns env steps, updates and minutes of a method's runs, each as a range."""
     return [
         span([run.last["env_steps"] for run in runs], count),
         span([run.last["updates"] for run in runs], count),
@@ -141,57 +150,57 @@ def budget(runs: Sequence[Run]) -> list[str]:
     ]
 
 
-def interpolation_counts(found: RunIndex) -> list[Block]:
-    """Table 5."""
+def interpolation_counts(index: RunIndex) -> list[Block]:
+    """Returns table 5."""
     rows = []
     for family in FAMILIES:
-        runs = found.runs(family)
-        for what, name in MEASURES.items():
-            theirs = printed(paper_counts(family, what)), str(paper_recount(family, what))
-            rows.append([NAMES[family], name, *theirs, share(runs, successes(runs, what))])
-    note = "Recounted: by this rule from the paper's own tables 11 to 18, from which its table 5 does not quite follow."
+        runs = index.runs(family)
+        for measure, name in MEASURES.items():
+            theirs = printed(paper_counts(family, measure)), str(paper_recount(family, measure))
+            rows.append([NAMES[family], name, *theirs, share(runs, successes(runs, measure))])
+    note = "Recounted: by the same rule from the paper's tables 11 to 18, which do not quite agree with its table 5."
     return [Table(INTERPOLATED, ("family", "measure", "paper", "paper, recounted", "ours"), rows), note]
 
 
 def share(runs: Sequence[Run], counted: Count | None) -> str:
-    """How many of how many, and of how many seeds."""
+    """Formats a count with its number of seeds, or the reason it is missing."""
     return f"{counted} ({seeds(counted.seeds)})" if counted else lack(runs)
 
 
-def episode_ends(found: RunIndex) -> list[Block]:
-    """Table 7."""
+def episode_ends(index: RunIndex) -> list[Block]:
+    """Returns table 7."""
     ((which, trajectories),) = numbers()["table-7"]["panels"].items()
     paper = [printed(steps) for _, steps in trajectories]
     rows = [[f"paper, {which}", *paper]]
-    for run in found.runs(ANT, "ear", "+no-noise"):
-        for one in run.of_seed("evaluation", "seeds"):
-            same = next(task for task in one["tasks"] if which.startswith(f"{task['name']},"))
-            worst = min(one["tasks"], key=lambda task: sum(task["episodes"]["length"]))
+    for run in index.runs(ANT, "ear", "+no-noise"):
+        for evaluation in run.of_seed("evaluation", "seeds"):
+            same = next(task for task in evaluation["tasks"] if which.startswith(f"{task['name']},"))
+            worst = min(evaluation["tasks"], key=lambda task: sum(task["episodes"]["length"]))
             for task in {task["name"]: task for task in (same, worst)}.values():
                 lengths = [count(length) for length in task["episodes"]["length"]][: len(paper)]
                 missing = [MISSING] * (len(paper) - len(lengths))
                 rows.append([f"ours, {task['name']}, seed {run.seed}", *lengths, *missing])
     if len(rows) == 1:
-        rows.append(["ours", lack(found.runs(ANT, "ear", "+no-noise")), *[MISSING] * (len(paper) - 1)])
-    caption = "Steps after which episodes of Ant-Dir end; of ours the paper's task, and that of the shortest."
+        rows.append(["ours", lack(index.runs(ANT, "ear", "+no-noise")), *[MISSING] * (len(paper) - 1)])
+    caption = "Length in steps of episodes of Ant-Dir. Ours: the paper's task, and the task with the shortest episodes."
     return [Table(caption, ("trajectory", *map(str, range(1, len(paper) + 1))), rows)]
 
 
-def failures(found: RunIndex) -> list[Block]:
-    """Table 8."""
+def failures(index: RunIndex) -> list[Block]:
+    """Returns table 8."""
     rows = []
     for (policy, paper), variant in zip(numbers()["table-8"]["panels"][""], ("+no-noise", ""), strict=True):
-        runs = found.runs(ANT, "ear", variant)
+        runs = index.runs(ANT, "ear", variant)
         rows.append([policy, printed(paper), share(runs, failed_tasks(runs))])
     return [Table("Tasks of Ant-Dir with an episode that ends early.", ("policy", "paper", "ours"), rows)]
 
 
-def normalisation(found: RunIndex) -> list[Block]:
-    """Table 9."""
+def normalisation(index: RunIndex) -> list[Block]:
+    """Returns table 9."""
     rows = []
     for line, variant in zip(numbers()["table-9"]["panels"][""], ("+no-norm", ""), strict=True):
-        runs = found.runs(ANT, "ear", variant)
-        ours = [share(runs, successes(runs, what)) for what in MEASURES]
+        runs = index.runs(ANT, "ear", variant)
+        ours = [share(runs, successes(runs, measure)) for measure in MEASURES]
         rows.append([line[0], printed(line[1]), ours[0], printed(line[2]), ours[1]])
     columns = ("policy", "mid-task, paper", "mid-task, ours", "1:1, paper", "1:1, ours")
     return [Table("Pairs of neighbouring tasks of Ant-Dir between which interpolation succeeds.", columns, rows)]

@@ -10,7 +10,7 @@ from ear_jax.config import Config
 from ear_jax.embeddings.compose import compose, contacts
 from ear_jax.embeddings.interpolate import trained_ends
 from ear_jax.envs import make_family
-from ear_jax.figures.compose import draw_gaits
+from ear_jax.figures.compose import draw_compose
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
 from tests.helpers.obedient import CODES, obedient
@@ -51,6 +51,6 @@ def test_gaits_are_drawn_with_and_without_feet(tmp_path, feet):
         "feet": feet,
         "seeds": [{"seed": 3, "blends": blends}],
     }
-    (picture,) = draw_gaits(tmp_path, document)
+    (picture,) = draw_compose(tmp_path, document)
     assert picture.name == "compose_walk_to_stand_seed3.png"
     assert picture.stat().st_size > 10_000

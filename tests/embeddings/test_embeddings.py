@@ -156,7 +156,7 @@ def test_a_map_of_the_sphere_answers_without_search(toy):
 
 
 def test_a_map_refuses_what_no_code_reaches(toy):
-    with pytest.raises(UsageError, match=r"no code of this run comes near 5 1; they reach -1.00 to 1.00"):
+    with pytest.raises(UsageError, match=r"no LTE of this run comes near 5 1; they reach -1.00 to 1.00"):
         adapt(toy, task_set([toy.program.family.parse_task("5")]), None, episodes=1, seed=0)
 
 
@@ -165,7 +165,7 @@ def test_without_a_sphere_there_is_neither_an_arc_nor_a_map(toy):
     trained = dataclasses.replace(toy, program=free)
     pair = tuple(trained_ends(trained))
     assert play_blends(trained, [pair], (0.5,), 1, 0).shape == (1, 1, 1)
-    with pytest.raises(UsageError, match="--along arc needs codes on a sphere"):
+    with pytest.raises(UsageError, match="--along arc needs LTEs on a sphere"):
         play_blends(trained, [pair], (0.5,), 1, 0, along="arc")
     tasks = task_set([free.family.parse_task("0.3")])
     with pytest.raises(UsageError, match="has no sphere of LTEs to map"):
@@ -191,7 +191,7 @@ def test_codes_lie_on_a_sphere_where_they_are_unit_vectors_and_stay_so():
 
 
 def test_without_two_tasks_that_command_something_there_is_nothing_to_blend(toy):
-    with pytest.raises(UsageError, match="toy has no two tasks that command a"):
+    with pytest.raises(UsageError, match="toy has no two tasks with a target action"):
         play_blends(toy, [], (0.5,), 1, 0)
 
 
@@ -243,7 +243,7 @@ def test_an_lte_cannot_be_named_like_a_number(tmp_path):
 
 def test_a_saved_code_is_of_the_policy_it_was_found_for(tmp_path):
     ltes.save(tmp_path, "trot", "vel-3.6", [[0.0, 0.6, 0.8]], "before")
-    with pytest.raises(UsageError, match=r"'trot' was found for another policy .*--target vel-3.6 --save trot` finds"):
+    with pytest.raises(UsageError, match=r"'trot' was found for another policy, .*--target vel-3.6 --save trot`"):
         ltes.find(tmp_path, ["trot"], seeds=1, size=3, policy="after")
 
 

@@ -40,7 +40,7 @@ def test_the_documents_family_is_what_it_says(family_file):
     assert (family.name, family.observation_size, family.action_size) == ("balance-at", 4, 1)
     assert family.training_tasks().targets == [-0.6, -0.3, 0.0, 0.3, 0.6]
     assert family.parse_task("at-0.25").params == {"position": 0.25}
-    with pytest.raises(UsageError, match="name a place in metres"):
+    with pytest.raises(UsageError, match="name a position in metres"):
         family.parse_task("left")
     state = jax.jit(family.reset)(jax.random.key(0))
     after = jax.jit(family.step)(state, jnp.array([0.5]))
@@ -100,7 +100,7 @@ def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
     line = "ear: family 'broken' cannot be loaded from nosuchpackage:Mine: ModuleNotFoundError: No module named"
     assert capsys.readouterr().err.startswith(line)
     point = EntryPoint("broken", "tests.helpers.probe:SLIDER", "ear_jax.families")
-    with pytest.raises(UsageError, match=r"^broken is no family: it must be a class"):
+    with pytest.raises(UsageError, match=r"^broken is not a family: it must be a class"):
         find_family("broken")
     assert find_family("ant-dir") is FAMILIES["ant-dir"], "another's fault is not ours"
 
@@ -112,30 +112,30 @@ PARTS = "training_tasks = parse_task = initial = observe = outcome = reward = pr
     ("word", "text", "complaint"),
     [
         ("nowhere.py:Mine", None, r"no file nowhere\.py; .* path/to/file\.py:ClassName"),
-        ("mine.txt:Mine", "", r"mine\.txt is no Python file"),
+        ("mine.txt:Mine", "", r"mine\.txt is not a Python file"),
         ("mine.py:Mine", "x = 1", r"unknown family 'Mine' \(there are: none\)"),
         ("mine.py:Mien", "from tests.helpers.probe import Bandit as Mine", r"did you mean 'Mine'"),
         ("mine.py:Mine", "1 / 0", r"mine\.py cannot be run: ZeroDivisionError: division by zero \(mine\.py, line 1"),
         ("mine.py:Mine", "class Mine(:", r"mine\.py cannot be run: SyntaxError"),
         ("mine.py:Mine", "import nosuchpackage", r"cannot be run: ModuleNotFoundError: .*nosuchpackage"),
         ("mine.py:Mine", "import sys; sys.exit(3)", r"mine\.py cannot be run: SystemExit: 3"),
-        ("mine.py:Mine", "Mine = 1", r"mine\.py:Mine is no family: .* derived from ear_jax\.envs\.Family"),
+        ("mine.py:Mine", "Mine = 1", r"mine\.py:Mine is not a family: .* derived from ear_jax\.envs\.Family"),
         (
             "mine.py:Mine",
             "class Mine(Family): reward = observe = print",
             r"define initial\(\), outcome\(\), parse_task",
         ),
-        ("mine.py:Mine", f"class Mine(Family): {PARTS}", r"mine\.py:Mine does not define name; it must be a text"),
+        ("mine.py:Mine", f"class Mine(Family): {PARTS}", r"mine\.py:Mine does not define name; it must be a non-"),
         ("mine.py:Mine", f"class Mine(Family): name = 'm'; {PARTS}", "does not define substeps; it must be a whole"),
-        ("mine.py:Mine", "class Mine(Bandit): name = ''", r"mine\.py:Mine: name must be a text, and is ''"),
-        ("mine.py:Mine", "class Mine(Bandit): substeps = 0.5", r"substeps must be a whole number of .*, and is 0\.5"),
-        ("mine.py:Mine", "class Mine(Bandit): mjx_solver = 4", r"mjx_solver must be two whole numbers .*, and is 4"),
-        ("mine.py:Mine", "class Mine(Bandit): bodies = 'foot'", r"bodies must be a tuple of names, and is 'foot'"),
+        ("mine.py:Mine", "class Mine(Bandit): name = ''", r"mine\.py:Mine: name must be a non-empty string, but is ''"),
+        ("mine.py:Mine", "class Mine(Bandit): substeps = 0.5", r"substeps must be a whole number of .*, but is 0\.5"),
+        ("mine.py:Mine", "class Mine(Bandit): mjx_solver = 4", r"mjx_solver must be two whole numbers .*, but is 4"),
+        ("mine.py:Mine", "class Mine(Bandit): bodies = 'foot'", r"bodies must be a tuple of names, but is 'foot'"),
         ("mine.py:Mine", "class Mine(Bandit): load = Family.load", "does not define model_file; it must be one of Gym"),
         (
             "mine.py:Mine",
             "class Mine(Bandit):\n  def load(self):\n    return open('robot.xml')",
-            r"^mine\.py:Mine: it cannot be made: FileNotFoundError: .*robot\.xml' \(mine\.py, line 4, in load\)$",
+            r"^mine\.py:Mine: its constructor fails: FileNotFoundError: .*robot\.xml' \(mine\.py, line 4, in load\)$",
         ),
     ],
 )
@@ -167,12 +167,12 @@ def never(*_):
 
 # Each family's difference from the bandit, and the message about it.
 BROKEN = [
-    ({"load": never}, r"it cannot be made: ValueError: never \(test_own_family\.py, line \d+, in never\)$"),
-    ({"load": lambda self: None}, r"load\(\) must return a mujoco\.MjModel, and returns NoneType"),
+    ({"load": never}, r"its constructor fails: ValueError: never \(test_own_family\.py, line \d+, in never\)$"),
+    ({"load": lambda self: None}, r"load\(\) must return a mujoco\.MjModel, not a NoneType"),
     ({"load": Family.load, "model_file": "hoper.xml"}, r"unknown model 'hoper\.xml'; did you mean 'hopper\.xml'"),
     ({"bodies": ("foot",)}, r"unknown body 'foot'.* \(there are: .*world\)"),
     ({"training_tasks": never}, r"training_tasks\(\) fails: ValueError: never"),
-    ({"training_tasks": lambda self: []}, r"training_tasks\(\) must return a task_set\(…\), and returns .* list"),
+    ({"training_tasks": lambda self: []}, r"training_tasks\(\) must return a task_set\(…\), but returns .* list"),
     ({"training_tasks": lambda self: TaskSet(())}, r"a task set needs at least one task"),
     ({"training_tasks": lambda self: task_set([1.0])}, r"training_tasks\(\) fails: AttributeError"),
     (
@@ -198,46 +198,46 @@ BROKEN = [
     ),
     ({"adaptation_tasks": never}, r"adaptation_tasks\(\) fails: ValueError: never"),
     ({"adaptation_tasks": tasks_of({"speed": 1.0})}, r"adaptation_tasks\(\): tasks '-0\.5' and 'task-0' have"),
-    ({"initial": lambda self, key: jnp.zeros(1)}, r"initial\(\) must return a Physics, and returns .* ArrayImpl"),
-    ({"initial": start_of(qvel=jnp.zeros(2))}, r"initial\(\)\.qvel must be of shape \(1,\), and has shape \(2,\)"),
-    ({"initial": start_of(qpos=jnp.zeros(1, int))}, r"initial\(\)\.qpos must be float32, and is int32"),
-    ({"initial": start_of(warmstart=None)}, r"initial\(\)\.warmstart must be of shape \(1,\), and is None"),
+    ({"initial": lambda self, key: jnp.zeros(1)}, r"initial\(\) must return a Physics, but returns .* ArrayImpl"),
+    ({"initial": start_of(qvel=jnp.zeros(2))}, r"initial\(\)\.qvel must be of shape \(1,\), but has shape \(2,\)"),
+    ({"initial": start_of(qpos=jnp.zeros(1, int))}, r"initial\(\)\.qpos must be float32, but is int32"),
+    ({"initial": start_of(warmstart=None)}, r"initial\(\)\.warmstart must be of shape \(1,\), but is None"),
     ({"initial": lambda self, key: sys.exit()}, r"initial\(\) fails: SystemExit"),
-    ({"observe": lambda self, physics: jnp.ones((1, 1))}, r"observe\(\) must be a vector, and has shape \(1, 1\)"),
+    ({"observe": lambda self, physics: jnp.ones((1, 1))}, r"observe\(\) must be a vector, but has shape \(1, 1\)"),
     ({"observe": lambda self, physics: physics.qpos / 0 - jnp.inf}, r"observe\(\)\[0\] is nan at a fresh start"),
     ({"observe": lambda self, physics: np.tanh(physics.qpos)}, r"observe\(\) fails: JAX traces it.* use jnp\.where"),
-    ({"terminated": lambda self, physics: physics.qpos > 0}, r"terminated\(\) must be a scalar, and has shape \(1,\)"),
-    ({"terminated": lambda self, physics: physics.qpos[0]}, r"terminated\(\) must be bool, and is float32"),
+    ({"terminated": lambda self, physics: physics.qpos > 0}, r"terminated\(\) must be a scalar, but has shape \(1,\)"),
+    ({"terminated": lambda self, physics: physics.qpos[0]}, r"terminated\(\) must be bool, but is float32"),
     (
         {"terminated": lambda self, physics: physics.qpos[0] > 0 and physics.qpos[0] < 1},
         r"terminated\(\) fails: JAX traces it.* jnp\.where for `if`.* \(test_own_family\.py, line \d+, in <lambda>\)$",
     ),
     (
         {"actuate": lambda self, physics, action: action},
-        r"actuate\(\) must return a Physics and a control, and returns",
+        r"actuate\(\) must return a Physics and a control, but returns",
     ),
     (
         {"actuate": lambda self, physics, action: (physics, action[:0])},
-        r"the control that actuate\(\) returns must be of shape \(1,\), and has shape \(0,\)",
+        r"the control that actuate\(\) returns must be of shape \(1,\), but has shape \(0,\)",
     ),
-    ({"outcome": lambda self, motion: motion.action[0]}, r"outcome\(\) must be a dictionary of named scalars"),
-    ({"outcome": lambda self, motion: {"action": motion.action}}, r"outcome\(\)\['action'\] must be a scalar, and has"),
+    ({"outcome": lambda self, motion: motion.action[0]}, r"outcome\(\) must return a dictionary of named scalars"),
+    ({"outcome": lambda self, motion: {"action": motion.action}}, r"outcome\(\)\['action'\] must be a scalar, but has"),
     (
         {"outcome": lambda self, motion: {"action": {}}},
-        r"outcome\(\)\['action'\] must be a scalar, and is of type dict",
+        r"outcome\(\)\['action'\] must be a scalar, but is a value of type dict",
     ),
     ({"outcome": lambda self, motion: {"action": jnp.log(-1.0)}}, r"outcome\(\)\['action'\] is nan at a fresh start"),
-    ({"outcome": lambda self, motion: {"return": motion.action[0]}}, r"outcome\(\) must not hold 'return'"),
+    ({"outcome": lambda self, motion: {"return": motion.action[0]}}, r"outcome\(\) must not contain 'return'"),
     ({"commanded": "acton"}, r"commanded: unknown outcome 'acton'; did you mean 'action'"),
     ({"reward": lambda self, outcome, task: outcome["speed"]}, r"reward\(\) fails: KeyError: 'speed'"),
     ({"reward": lambda self, outcome: 0.0}, r"reward\(\) fails: TypeError: .* positional argument"),
     ({"reward": lambda self, outcome, task: float(task["action"])}, r"reward\(\) fails: JAX traces it.* float\(\)"),
     (
         {"reward": lambda self, outcome, task: jnp.ones(2)},
-        r"reward\(\) of task '-0\.5' must be a scalar, and has shape",
+        r"reward\(\) of task '-0\.5' must be a scalar, but has shape",
     ),
     ({"reward": lambda self, outcome, task: jnp.sqrt(-task["action"])}, r"reward\(\) of task '0\.5' is nan at a fresh"),
-    ({"achieved": lambda self, late, whole: late}, r"achieved\(\) must be a scalar, and is of type dict"),
+    ({"achieved": lambda self, late, whole: late}, r"achieved\(\) must be a scalar, but is a value of type dict"),
 ]
 
 
@@ -264,7 +264,7 @@ def test_a_broken_family_is_refused_before_anything_is_compiled(monkeypatch, run
             lambda self, text: float(text),
             r"^bandit: parse_task\('left'\) fails: ValueError: could not convert .*'left'",
         ),
-        (lambda self, text: 1.0, r"^bandit: parse_task\('left'\): a task must be a Task, and is of type float"),
+        (lambda self, text: 1.0, r"^bandit: parse_task\('left'\): a task must be a Task, but is a value of type float"),
         (
             lambda self, text: Task(text, 1.0, {"speed": 1.0}),
             r"tasks 'task-0' and 'left' have different numbers",

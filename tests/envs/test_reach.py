@@ -210,4 +210,4 @@ def test_without_metaworld_one_line_says_what_to_install(monkeypatch, capsys):
     assert main(["train", "reach"]) == 1
     assert line in capsys.readouterr().err
     assert main(["families"]) == 0
-    assert f"reach is not to be had here: {line}" in capsys.readouterr().out
+    assert f"reach is not available here: {line}" in capsys.readouterr().out

@@ -22,7 +22,7 @@ from ear_jax.runs import records
 from ear_jax.runs.lock import lock_directory
 from experiments import inventory, reproduce
 from experiments.__main__ import main
-from experiments.inventory import is_trained, is_whole, jobs, missing
+from experiments.inventory import is_complete, is_trained, jobs, missing
 from experiments.paper import EXPERIMENTS
 
 
@@ -101,15 +101,15 @@ def test_several_processes_share_a_table(workplace, capsys):
     with lock_directory(reproduce.RUNS / reproduce.IN_HAND / theirs, pytest.fail):
         assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     said = capsys.readouterr().err
-    assert f"{theirs} is left to another process, which is at it" in said
-    assert "table-8: of 2 runs 1 are left to other processes" in said
+    assert f"{theirs} is left to another process, which is working on it" in said
+    assert "table-8: 1 of 2 runs are left to other processes" in said
     assert len(workplace) == 3
     assert all("+no-noise" in line for line in workplace)
     workplace.clear()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     assert len(workplace) == 3
     assert not any("+no-noise" in line for line in workplace)
-    assert "table-8 is whole: 2 runs" in capsys.readouterr().err
+    assert "table-8 is complete: 2 runs" in capsys.readouterr().err
 
 
 def test_a_record_is_analysed_where_its_run_is_not(workplace, tmp_path):
@@ -140,7 +140,7 @@ def test_training_again_drops_the_analyses_of_the_run_before(workplace):
     assert not is_trained(job)
     assert missing(job) == list(job.analyses)
     assert main(["reproduce", "table-15", "--seeds", "1"]) == 0
-    assert is_whole(job)
+    assert is_complete(job)
     assert not (job.record / "adaptation.json").exists()
 
 
@@ -176,7 +176,7 @@ def test_seeds_trained_side_by_side_are_one_record_and_count_each(workplace):
     analysis = f"interpolate records/{place.name}/policy.safetensors --all-pairs --json"
     assert workplace[-1] == analysis, "of both at once"
     assert workplace.count(analysis) == 1
-    assert all(is_whole(job) for job in wanted)
+    assert all(is_complete(job) for job in wanted)
 
 
 def test_seeds_are_trained_one_by_one_where_their_record_is_of_other_settings(workplace):
@@ -185,7 +185,7 @@ def test_seeds_are_trained_one_by_one_where_their_record_is_of_other_settings(wo
     other = dataclasses.replace(config, seeds=2, sac=dataclasses.replace(config.sac, lr=1e-4))
     write_run(place := inventory.RECORDS / run_name(other), other)
     assert main(["reproduce", "table-15", "--seeds", "2"]) == 0
-    assert all(is_whole(job) for job in wanted)
+    assert all(is_complete(job) for job in wanted)
     assert sorted(path.name for path in place.iterdir()) == ["config.json", "metrics.jsonl"], "it stays as it was"
 
 
@@ -217,7 +217,7 @@ def test_a_record_of_another_run_is_not_lost(place, finished, capsys):
     write_run(kept, preset_config("halfcheetah-vel", "smoke"))
     before = {path: path.read_bytes() for path in kept.iterdir()}
     assert main(["keep", str(finished)]) == 2
-    assert f"{kept} is of another run" in capsys.readouterr().err
+    assert f"{kept} records another run" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in kept.iterdir()} == before
     assert main(["keep", str(finished), "--name", "halfcheetah-vel-tiny"]) == 0
     own = kept.with_name("halfcheetah-vel-tiny")

@@ -92,7 +92,7 @@ def test_of_several_seeds_one_ships(record, folder, capsys):
     assert (card["mean_return"], last["seed"]) == (evaluated, 1)
     assert card["learning_curve"][-1]["mean_return"] == round(last["mean_return"], 2)
     assert main(["publish", str(record), "--policy", "2"]) == 2
-    assert "--policy 2 is none of the run's: it has 2, and the first is 0" in capsys.readouterr().err
+    assert "--policy 2 is out of range: this run has 2 policies, numbered from 0" in capsys.readouterr().err
 
 
 def of_another_seed(record: Path) -> None:
@@ -116,12 +116,12 @@ def measured_before(record: Path) -> None:
         (shutil.rmtree, 2, "there is no such directory"),
         (lambda record: (record / POLICY).unlink(), 1, "has no policy.safetensors, which `ear export` writes"),
         (lambda record: (record / METRICS).unlink(), 1, "has no metrics.jsonl, which `ear train` writes"),
-        (measured_before, 1, "and metrics.jsonl beside it has no row of that"),
-        (evaluated_before, 1, "is of 2 updates, and the policy of "),
+        (measured_before, 1, ", for which metrics.jsonl has no row"),
+        (evaluated_before, 1, "is from 2 updates and the policy from "),
         (lambda record: (record / EVALUATION).write_text("{"), 1, "evaluation.json cannot be read"),
-        (lambda record: (record / POLICY).write_bytes(b"x"), 1, "is no whole safetensors file"),
-        (of_another_seed, 1, "evaluation.json is not of seed 0; evaluate it anew"),
-        (of_two_seeds, 2, "holds 2 seeds; an agent that ships has one: name it by --policy"),
+        (lambda record: (record / POLICY).write_bytes(b"x"), 1, "is not a complete safetensors file"),
+        (of_another_seed, 1, "evaluation.json lacks seed 0; run `ear evaluate` again"),
+        (of_two_seeds, 2, "holds 2 seeds and an agent has one: choose it with --policy 0 to 1"),
     ],
 )
 def test_what_cannot_ship_is_refused_in_one_line(harm, code, complaint, record, folder, capsys):
@@ -137,16 +137,13 @@ def test_sizes_are_limited(record, folder, monkeypatch, capsys):
     size = (record / POLICY).stat().st_size
     monkeypatch.setattr(publish, "FILE_BYTES", size - 1)
     assert main(["publish", str(record)]) == 1
-    assert f"has {size:,} bytes; an agent that ships has at most {size - 1:,}" in capsys.readouterr().err
+    assert f"has {size:,} bytes; an agent may have at most {size - 1:,}" in capsys.readouterr().err
     monkeypatch.setattr(publish, "FILE_BYTES", size)
     monkeypatch.setattr(publish, "ALL_BYTES", 2 * size - 1)
     for _ in range(2):  # the second replaces the first
         assert main(["publish", str(record), "--name", "one"]) == 0
     assert main(["publish", str(record), "--name", "two"]) == 1
-    assert (
-        f"the agents would have {2 * size:,} bytes; all together have at most {2 * size - 1:,}"
-        in capsys.readouterr().err
-    )
+    assert f"all agents would have {2 * size:,} bytes; the limit is {2 * size - 1:,}" in capsys.readouterr().err
 
 
 def test_a_name_is_a_plain_word(record, folder, capsys):

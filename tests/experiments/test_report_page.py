@@ -19,7 +19,7 @@ from experiments.paper import COMPOSED, EXPERIMENTS, SPEEDS_BEYOND
 from experiments.report import readme
 from experiments.report.command import write
 from experiments.report.run_index import RunIndex
-from tests.helpers.fake_records import add, cells, record, section
+from tests.helpers.fake_records import add, add_pairs, cells, record, section
 
 ROOT = Path(__file__).parents[2]
 
@@ -80,22 +80,37 @@ def test_documents_are_rewritten_between_their_markers_alone(place, monkeypatch,
     documents = {name: place / f"{name}.md" for name in ("README", "DETAILS")}
     for name, path in documents.items():
         monkeypatch.setattr(readme, name, path)
-        path.write_text("before\n<!-- results -->\nold\n<!-- /results -->\nafter\n")
+        headline = "<!-- headline -->\nold\n<!-- /headline -->\n" if name == "README" else ""
+        path.write_text(f"before\n{headline}<!-- results -->\nold\n<!-- /results -->\nafter\n")
     assert main(["report", "--docs"]) == 0
     assert capsys.readouterr().out.split() == [str(path) for path in documents.values()]
     texts = [path.read_text() for path in documents.values()]
     for text in texts:
         assert (text.startswith("before\n"), text.endswith("\nafter\n"), "\nold\n" in text) == (True, True, False)
-    assert "| HalfCheetah-Vel | −195.5 (1 seed) | −136.9 ± 1.29 | — (26 of 27) | — (25 of 27) | — | 40 |" in texts[0]
-    assert "HalfCheetah-Vel 800,000 (10 %) and 80,000 (10 %)." in texts[0]
-    assert "| HalfCheetah-Vel | −195.5 (1 seed) | −595.5 (1 seed) | −609.0 ± 8.10 |" in texts[0]
-    assert "| Ant-Dir | — | — | 195.7 ± 0.29 |" in texts[0]
+    assert texts[0].startswith("before\n<!-- headline -->\n\nHalfCheetah-Vel has no analysed run yet.\n")
+    assert "| HalfCheetah-Vel | −195.5 | −136.9 ± 1.29 | — (26/27) | — (25/27) | 1 | 40 |" in texts[0]
+    assert "| HalfCheetah-Vel | −195.5 (1 seed) | −136.9 ± 1.29 | — (26 of 27) | — (25 of 27) | — | 40 |" in texts[1]
+    assert "HalfCheetah-Vel 800,000 (10 %) and 80,000 (10 %)." in texts[1]
+    assert "| HalfCheetah-Vel | −195.5 (1 seed) | −595.5 (1 seed) | −609.0 ± 8.10 |" in texts[1]
+    assert "| Ant-Dir | — | — | 195.7 ± 0.29 |" in texts[1]
     assert "## Table 18: 1:1 interpolation, Ant-Dir" in texts[1]
     assert main(["report", "--docs"]) == 0
     assert [path.read_text() for path in documents.values()] == texts
     documents["README"].write_text("nothing")
     assert main(["report", "--docs"]) == 1
-    assert "has no place for the results" in capsys.readouterr().err
+    assert "lacks the markers <!-- headline --> and <!-- /headline -->" in capsys.readouterr().err
+
+
+def test_readmes_first_number_is_that_of_the_records(place):
+    for seed, (level, successes) in enumerate(((-200, 9), (-180, 8))):
+        add_pairs(record(seed=seed, level=level), seed, successes)
+    said = readme.headline(RunIndex("fast"))
+    assert (
+        "for 17 of 18 pairs of neighbouring trained speeds, some blend runs at the speed midway** (the paper: 26"
+        in said
+    )
+    assert "returns −185.5 ± 14.1 (2 seeds), short of the paper's −136.9 ± 1.29, after 10 % of the paper's env" in said
+    assert said.endswith(" env steps: 40 minutes a seed on one CPU core.")
 
 
 def test_a_record_that_is_gone_shows_as_missing_and_breaks_nothing(place):
@@ -180,8 +195,8 @@ def test_text_is_escaped(place):
     ("words", "complaint"),
     [
         ("--preset fats", "did you mean 'fast'"),
-        ("--out file", "--out file is no directory"),
-        ("--out file/below", "--out file/below is no directory"),
+        ("--out file", "--out file cannot be a directory"),
+        ("--out file/below", "--out file/below cannot be a directory"),
         ("--outt x", "did you mean --out? (`python -m experiments report --help`"),
     ],
 )

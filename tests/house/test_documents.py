@@ -43,7 +43,7 @@ def plain(path: Path) -> str:
 
 
 def said_of_the_cheetah() -> list[str]:
-    """README's words about the run whose figures it shows."""
+    """Words of `docs/results.md` about the run whose figures it shows."""
     rows = records.read_rows(CHEETAH / "metrics.jsonl")
 
     def passed(level: float) -> int:
@@ -65,7 +65,7 @@ def said_of_the_long_run() -> list[str]:
     )
     assert len(usual) == len(long) == 5
     return [
-        f"five seeds return {number(sum(long) / 5)} in the mean, and {number(sum(usual) / 5)} otherwise",
+        f"five seeds return {number(sum(long) / 5)} on average, and {number(sum(usual) / 5)} otherwise",
         f"the best of them reaches {number(max(long))}",
     ]
 
@@ -75,7 +75,9 @@ def said_of_the_ant() -> list[str]:
     returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
     wide, wide_speeds, wide_early = ants(*(f"fast+wide-seed{seed}" for seed in range(3)))
     (half_as_long,), *_ = ants("fast-width-512-seed1")
+    (low, high), (wide_low, wide_high) = (sorted(values, key=int)[::2] for values in (returns, wide))
     return [
+        f"ant: {wide_low} to {wide_high} instead of {low} to {high}",
         f"Its seeds return {returns[0]}, {returns[1]} and {returns[2]}",
         f"at {speeds}",
         f"{early} episodes end early",
@@ -86,14 +88,14 @@ def said_of_the_ant() -> list[str]:
 
 
 def said_of_the_wide() -> list[str]:
-    """The hopper and the walker, wide and usual."""
+    """Words on the hopper and the walker, twice as wide and as in `fast`."""
     found = RunIndex("fast")
     (wide_hopper,), (wide_walker,) = (found.runs(family, variant="+wide") for family in ("hopper-vel", "walker-vel"))
     hoppers, walkers = (list(map(measures.mean_return, found.runs(one))) for one in ("hopper-vel", "walker-vel"))
     assert len(hoppers) == len(walkers) == 3
     wide = " and ".join(number(measures.mean_return(run)) for run in (wide_hopper, wide_walker))
     usual = " and ".join(number(float(np.mean(returns))) for returns in (hoppers, walkers))
-    return [f"The first wide seeds of hopper and walker return {wide}, the three of {usual} in the mean"]
+    return [f"The first wide seeds of hopper and walker return {wide}, the three seeds of {usual} on average"]
 
 
 def said_of_the_ring() -> list[str]:
@@ -110,7 +112,7 @@ def said_of_the_ring() -> list[str]:
 
 
 def said_of_the_gathered() -> list[str]:
-    """The hopper's seed 0, with LTEs that began gathered and with usual ones."""
+    """Words on the hopper's seed 0, with LTEs gathered at the start and without."""
     gathered, usual = (RunIndex("fast").runs("hopper-vel", variant=variant)[0] for variant in ("+gathered", ""))
     assert gathered.seed == usual.seed == 0
     gaps, pairs = [], []
@@ -120,7 +122,7 @@ def said_of_the_gathered() -> list[str]:
     return [
         f"the widest gap is {gaps[0]} instead of {gaps[1]}",
         "the return {} instead of {}".format(*(number(measures.mean_return(run)) for run in (gathered, usual))),
-        f"pairs {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
+        f"pairs, {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
         f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
     ]
 
@@ -139,27 +141,28 @@ def ants(*names: str) -> tuple[list[str], str, str]:
 
 
 def said_of_commands() -> list[str]:
-    """README's words about how long commands take."""
+    """Words of `docs/results.md` about how long commands take."""
     rows: dict[str, dict[str, Any]] = {
         row["command"]: row for row in records.read_rows(common.RESULTS / "adaptation.jsonl") if not row["quick"]
     }
     return [
         f"99 each, in {rows['interpolate']['seconds']:.0f} seconds",
-        f"2,000 embeddings rolled out in {rows['map']['seconds']:.0f} seconds",
+        f"2,000 LTEs rolled out in {rows['map']['seconds']:.0f} seconds",
     ]
 
 
 def test_readme_and_results_say_what_the_records_say():
     found = RunIndex("fast")
-    assert documents.read(readme.README, readme.PLACE) == readme.results(found)
-    assert documents.read(readme.DETAILS, readme.PLACE) == readme.details(found)
+    assert documents.read(readme.README, readme.HEADLINE) == readme.headline(found)
+    assert documents.read(readme.README, readme.RESULTS) == readme.results(found)
+    assert documents.read(readme.DETAILS, readme.RESULTS) == readme.details(found)
 
 
 @pytest.mark.parametrize(
     ("said", "document"),
     [
-        (said_of_the_cheetah, "README.md"),
-        (said_of_commands, "README.md"),
+        (said_of_the_cheetah, "docs/results.md"),
+        (said_of_commands, "docs/results.md"),
         (said_of_the_ant, "docs/fast.md"),
         (said_of_the_wide, "docs/fast.md"),
         (said_of_the_ring, "docs/fast.md"),

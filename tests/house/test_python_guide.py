@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ear_jax.config import check
-from ear_jax.runs import loop
+from ear_jax.runs import loop, training
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "python.md"
 
@@ -27,5 +26,5 @@ def test_the_documents_program_runs(tmp_path, monkeypatch):
     assert np.isfinite(names["reward"])
     assert names["over"] == 0
     ((config, directory),) = trained
-    check(config, tasks=10)
+    training.make_program(config)  # which checks the settings
     assert (config.seed, config.sac.lte_noise, directory) == (1, 0.0, Path("runs/mine"))

@@ -9,11 +9,11 @@ import pytest
 
 from ear_jax.agents.critic import aggregate_q, task_critic
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian, sample, squash
-from ear_jax.config import NetworkConfig
+from ear_jax.config import Config, NetworkConfig
 from ear_jax.learning import losses
 from ear_jax.learning.batch import Batch
 
-CRITIC = task_critic(1, 1, 2, NetworkConfig(8))
+CRITIC = task_critic(1, 1, 2, Config("bandit", network=NetworkConfig(8)))
 
 
 def batch(**changes) -> Batch:

@@ -106,7 +106,7 @@ def test_steps_that_cannot_be_halved_and_more_than_one_update_are_refused():
     config = preset_config("halfcheetah-vel", "fast", "maml")
     check = find_method("maml").learner.check
     check(config, 7)  # batches do not matter
-    with pytest.raises(UsageError, match="401 cannot be halved"):
+    with pytest.raises(UsageError, match="401 is odd"):
         check(replace(config, collect=replace(config.collect, steps=401)), 10)
-    with pytest.raises(UsageError, match="one update an epoch"):
+    with pytest.raises(UsageError, match="one update per epoch"):
         check(replace(config, sac=replace(config.sac, updates=2)), 10)

@@ -150,7 +150,7 @@ def test_no_code_is_run_because_a_file_says_so(folder, tmp_path):
     about["config"]["family"] = f"{evil}:Family"
     write_policy(path, load(AGENT).policies, arrays["codes"], about, "")
     records.write_json(path.with_suffix(".json"), {"sha256": hashlib.sha256(path.read_bytes()).hexdigest()})
-    with pytest.raises(UsageError, match=f"that is not ear_jax's own; name it: --family {evil}:Family"):
+    with pytest.raises(UsageError, match=f"to run its code, add --family {evil}:Family"):
         load(Path("pretrained:evil"))
     assert not (tmp_path / "ran").exists()
 
@@ -215,8 +215,8 @@ def test_the_demo_takes_neighbours_that_are_met():
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("demo --pretrained a b", "are several; name one agent"),
-        ("demo --pretrained hopper-vel --out x", "--out is for what is trained"),
+        ("demo --pretrained a b", "names 2 agents; name one"),
+        ("demo --pretrained hopper-vel --out x", "--out applies only to training"),
         ("pretrained hopper-vel", "Unrecognized options: hopper-vel"),
         ("evaluate hopper-vel", "`ear pretrained` lists agents that ship"),
     ],

@@ -36,7 +36,7 @@ def test_the_first_is_answered_and_the_second_obeyed_at_once_in_the_middle_of_co
     with subprocess.Popen([sys.executable, "-c", BUSY], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "ready\n"
         process.send_signal(number)
-        assert process.stdout.readline() == "stopping after this block; once more to leave at once\n"
+        assert process.stdout.readline() == "stopping after this block; a second signal stops immediately\n"
         assert process.poll() is None
         process.send_signal(number)
         assert process.wait(timeout=30) == code
@@ -67,7 +67,7 @@ def test_a_second_process_is_refused_with_the_firsts_name(tmp_path):
     with lock_directory(tmp_path, said.append):
         pass
     assert f"process {process.pid} on " in said[0]
-    assert said[0].endswith("was killed; its lock is void")
+    assert said[0].endswith("was killed; ignoring its lock")
     with lock_directory(tmp_path, said.append):
         pass
     assert len(said) == 1, "and once is enough"

@@ -40,10 +40,10 @@ def test_what_repeats_is_whole_strides(cheetah, gait):
     piece = loop(cheetah, gait, 1, SECONDS)
     assert len(piece.limbs) == 24, "the strides of 12 pictures that fit between 1.0 and 1.6 s"
     assert not piece.fell
-    np.testing.assert_allclose(piece.way[-1] - piece.way[0], [24 * SPEED * SECONDS, 0], atol=1e-2)
+    np.testing.assert_allclose(piece.path[-1] - piece.path[0], [24 * SPEED * SECONDS, 0], atol=1e-2)
     seen = limbs(cheetah, gait.qpos[50:])
-    first = int(np.argmin(np.abs(seen.centres[:, 0] - piece.way[0, 0])))
-    np.testing.assert_allclose(piece.way[:, 0], seen.centres[first : first + 25, 0])
+    first = int(np.argmin(np.abs(seen.centres[:, 0] - piece.path[0, 0])))
+    np.testing.assert_allclose(piece.path[:, 0], seen.centres[first : first + 25, 0])
     across = seen.ends[first, ..., 0] - seen.centres[first, 0]
     np.testing.assert_allclose(piece.limbs[0, ..., 0], across, err_msg="limbs stand about the robot's own place")
 
@@ -56,7 +56,7 @@ def test_pictures_are_left_out_where_steps_are_short(cheetah, gait):
 def test_who_fell_is_shown_to_the_end(cheetah, gait):
     piece = loop(cheetah, replace(gait, qpos=gait.qpos[:31], fell=True), 1, SECONDS)
     assert piece.fell
-    assert (len(piece.limbs), len(piece.way)) == (16, 17)
+    assert (len(piece.limbs), len(piece.path)) == (16, 17)
     assert len(loop(cheetah, replace(gait, qpos=gait.qpos[:2], fell=True), 1, SECONDS).limbs) == 1, "in its first step"
 
 
@@ -83,8 +83,8 @@ def test_a_page_holds_all_to_the_millimetre(tmp_path):
     assert (data["shades"][0], data["shades"][-1]) == ("#440154", "#fde725"), "viridis"
     shown = np.concatenate([piece.limbs.ravel() for piece in pieces])
     np.testing.assert_allclose(numbers(data["limbs"]), shown, atol=0.00051)
-    way = np.concatenate([(piece.way - piece.way[0]).ravel() for piece in pieces])
-    np.testing.assert_allclose(numbers(data["way"]), way, atol=0.00051)
+    path = np.concatenate([(piece.path - piece.path[0]).ravel() for piece in pieces])
+    np.testing.assert_allclose(numbers(data["path"]), path, atol=0.00051)
     assert "{{" not in (tmp_path / "page.html").read_text()
 
 
@@ -97,7 +97,7 @@ def test_the_command_makes_a_page_of_a_run(run, capsys):
     assert [task["name"] for task in data["trained"]] == ["vel-1", "vel-3"]
     limbs_of_a_cheetah = len(data["radii"])
     assert len(numbers(data["limbs"])) == 4 * limbs_of_a_cheetah * sum(data["pictures"])
-    assert len(numbers(data["way"])) == 2 * (sum(data["pictures"]) + 12)
+    assert len(numbers(data["path"])) == 2 * (sum(data["pictures"]) + 12)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_the_command_makes_a_page_of_a_run(run, capsys):
     [
         ("--places 3", "--places 3 is too small; it must be at least 10"),
         ("--steps 1", "--steps 1 is too small; it must be at least 8"),
-        ("--policy 2", "--policy 2 is none of the run's: it has 2, and the first is 0"),
+        ("--policy 2", "--policy 2 is out of range: this run has 2 policies, numbered from 0"),
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_leaves_nothing(run, words, complaint, capsys):

@@ -175,7 +175,7 @@ def test_robots_that_stand_share_a_panel_where_each_ended():
         np.testing.assert_array_equal(shown, [pose])
     right, left = (track.limbs[0].mean(axis=1) for track in panel.tracks)  # of the robot, which faces the camera
     assert (left - right)[:, 0].max() == pytest.approx(0.2, abs=0.03), "fingers"
-    assert found.caption == "across (m), where each ended"
+    assert found.caption == "across (m), last pose of each"
 
 
 def test_a_strip_of_sticks_is_drawn_to_size(cheetah, tmp_path):
@@ -281,17 +281,17 @@ def test_without_opengl_one_line_says_what_to_install_and_the_strip_still_comes(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        ("", "say one of --task X"),
-        ("--task 1 --interpolate 1 3", "say one of --task X"),
+        ("", "give one of --task X"),
+        ("--task 1 --interpolate 1 3", "give one of --task X"),
         ("--task 2", "unknown task 'vel-2'; did you mean 'vel-"),
         ("--task fast", "name a speed in metres per second"),
         ("--interpolate 3 vel-3", "names one task twice"),
         ("--interpolate 1 3 --beta nan", "--beta nan is out of range; it must be finite"),
-        ("--task 1 --beta 0.5", "--beta goes with --interpolate A B alone"),
+        ("--task 1 --beta 0.5", "--beta goes only with --interpolate A B"),
         ("--lte 1 0", "--lte has 2 numbers; this run's LTEs have 3"),
         ("--lte 0 0 0", "has no direction"),
         ("--task 1 --steps 0", "must be at least 1"),
-        ("--task 1 --policy 2", "--policy 2 is none of the run's"),
+        ("--task 1 --policy 2", "--policy 2 is out of range"),
     ],
 )
 def test_a_mistake_gets_one_clear_line_and_leaves_nothing(run, words, complaint, capsys):

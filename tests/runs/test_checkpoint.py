@@ -68,10 +68,10 @@ def test_a_part_is_read_without_the_rest(state, steps):
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
-        ({"weights": jnp.zeros((2, 4))}, r"weights is float32 \[2, 3\] there and float32 \[2, 4\] here"),
-        ({"weights": jnp.zeros((2, 3), jnp.int32)}, r"weights is float32 \[2, 3\] there and int32 \[2, 3\] here"),
+        ({"weights": jnp.zeros((2, 4))}, r"weights is float32 \[2, 3\], not float32 \[2, 4\]"),
+        ({"weights": jnp.zeros((2, 3), jnp.int32)}, r"weights is float32 \[2, 3\], not int32 \[2, 3\]"),
         ({"more": jnp.zeros(1)}, r"it has no more"),
-        ({"counts": ()}, r"it has counts\.0, which is unknown here"),
+        ({"counts": ()}, r"it has counts\.0, which is not expected"),
     ],
 )
 def test_the_first_difference_is_named(change, complaint, state, steps):
@@ -158,7 +158,7 @@ def test_links_and_strangers_in_a_step_are_refused_unread(steps, tmp_path):
     secret.write_text("not yours")
     (steps / "4" / "state" / "more").symlink_to(secret)
     assert newest(steps)[1] == [
-        f"warning: {steps / '4'} is damaged: state/more is no plain file; going back to epoch 2"
+        f"warning: {steps / '4'} is damaged: state/more is not a regular file; going back to epoch 2"
     ]
     (steps / "4" / "state" / "more").unlink()
     (steps / "4" / "evil.pkl").write_bytes(b"cos\nsystem\n(S'true'\ntR.")
@@ -217,5 +217,5 @@ def test_a_format_from_the_future_is_refused(steps):
     path = steps / "4" / "about.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "format": 99}))
     manifest.write(steps / "4")
-    with pytest.raises(RunError, match="has format 99, and this version of ear_jax reads 1"):
+    with pytest.raises(RunError, match="has format 99, but this version of ear_jax reads 1"):
         newest(steps)

@@ -118,7 +118,7 @@ def test_a_loss_that_is_not_finite_ends_the_run_and_leaves_the_last_good_step(fi
         return jnp.where(batch.task == 1, jnp.nan, target(critic, predictions, batch, *arguments))
 
     monkeypatch.setattr(sac.losses, "critic_targets", poisoned)
-    with pytest.raises(RunError, match=r"seed 0 is lost: actor_loss is nan after 96 updates \(task vel-3\)"):
+    with pytest.raises(RunError, match=r"seed 0 failed: actor_loss is nan after 96 updates \(task vel-3\)"):
         train_run(finished_config(epochs=30), finished)
     report = json.loads((finished / "failure.json").read_text())
     assert (report["seed"], report["block_ends_at_epoch"], report["finite_updates"]) == (0, 26, 96)

@@ -135,7 +135,7 @@ def test_a_full_disk_is_reported_and_the_run_goes_on(finished, monkeypatch, smal
 
     monkeypatch.setattr(loop.checkpoint, "save", with_little_room)
     config = finished_config(epochs=28, checkpoint=CheckpointConfig(blocks=1))
-    with pytest.raises(RunError, match=r"epoch 28 could not be written: .*File too large.* continues from the check"):
+    with pytest.raises(RunError, match=r"epoch 28 could not be written: .*File too large.* continues from the prev"):
         train_run(config, finished)
     assert "warning: the checkpoint of epoch 26 could not be written" in capsys.readouterr().err
     assert checkpoint.newest(finished / "checkpoints", pytest.fail).epoch == 24
@@ -179,7 +179,7 @@ def test_without_its_replay_a_checkpoint_is_small_and_continuing_says_what_it_co
     capsys.readouterr()
     train_run(dataclasses.replace(config, epochs=28), finished)
     said = capsys.readouterr().err
-    assert "epoch 26 was saved without its replay; 2 epochs of collection, 40 env steps a seed, fill it anew" in said
+    assert "epoch 26 was saved without its replay; 2 epochs of collection (40 env steps per seed) refill it" in said
     rows = records.read_rows(finished / "metrics.jsonl")
     # 2 tasks × 2 envs × 5 steps an epoch; 2 epochs of pretraining, and 2 more
     assert [(row["epoch"], row["env_steps"]) for row in rows[-4::2]] == [(26, 560), (28, 640)]
@@ -253,7 +253,7 @@ def test_a_checkpoint_of_another_family_or_width(setting, value, complaint, refu
 def test_a_checkpoint_whose_arrays_are_anothers(finished):
     """The checkpoint claims to be this run's."""
     wide = dataclasses.replace(MORE, network=dataclasses.replace(MORE.network, width=32))
-    with pytest.raises(RunError, match=r"24 does not fit this run: .* is float32 \[2, .*16\] there and .*32\] here"):
+    with pytest.raises(RunError, match=r"24 does not fit this run: .* is float32 \[2, .*16\], not .*32\]"):
         last_state(finished, wide)
 
 
@@ -285,8 +285,10 @@ def test_a_dry_run_tells_and_writes_nothing(tmp_path, monkeypatch, capsys):
     assert main([*words(finished_config(seeds=1)), "--dry-run"]) == 0
     said = capsys.readouterr().out
     assert "  sac.lr 0.001\n" in said
-    assert "memory: 0.00 GB: replay 0.00 GB, networks and optimisers 0.00 GB; " in said
-    assert re.search(r"time here: \d+ s to compile, [\d.]+ s an epoch, .* every 2; 24 epochs take \d+ minutes\n", said)
+    assert "memory: 0.00 GB (replay 0.00 GB, networks and optimisers 0.00 GB); " in said
+    assert re.search(
+        r"time here: \d+ s to compile, [\d.]+ s per epoch, .* every 2 epochs; 24 epochs take \d+ minutes\n", said
+    )
     assert list(tmp_path.iterdir()) == []
 
 

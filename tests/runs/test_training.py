@@ -101,7 +101,7 @@ def test_what_another_process_did_until_just_now_is_kept(tiny, run_directory, mo
 def test_minutes_stop_a_run_and_more_continue_it(tiny, run_directory):
     short = dataclasses.replace(tiny, minutes=0.0001, epochs=6)
     # Setting up takes longer than that: nothing is trained, and the directory can be continued.
-    with pytest.raises(RunError, match=r"--minutes 0.0001 were over before anything was trained; give more to go on"):
+    with pytest.raises(RunError, match=r"--minutes 0.0001 ran out before training started; raise it to continue"):
         train_run(short, run_directory)
     assert records.read_rows(run_directory / "metrics.jsonl") == []
     train_run(dataclasses.replace(short, minutes=None), run_directory)
