@@ -55,11 +55,6 @@ def run(finished_once: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(shutil.copytree(finished_once, tmp_path_factory.mktemp("render") / "run"))
 
 
-@pytest.fixture(scope="module")
-def cheetah() -> mujoco.MjModel:
-    return load_model("half_cheetah.xml")
-
-
 def program(family: Family, codes: jax.Array) -> Program:
     return Program(Config(family.name), family, family.training_tasks(), obedient(codes), None)  # type: ignore[arg-type]
 
