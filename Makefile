@@ -20,7 +20,7 @@ demo: setup
 
 # Most of a test is compiling. Two processes; tests that share what is compiled run in one of them (tests/conftest.py).
 test: setup
-	$(BIN)/pytest --numprocesses 2 --dist loadgroup --no-loadscope-reorder
+	$(BIN)/pytest --numprocesses 2 --no-loadscope-reorder
 
 test-slow: setup
 	$(BIN)/pytest -m slow

@@ -8,9 +8,11 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 from ear_jax.config import Config
 from ear_jax.runs import loop
@@ -29,15 +31,33 @@ GROUPS = (
 )
 
 
+def group_of(file: str) -> tuple[int, str]:
+    """Returns the rank and the name of the group of a file, such as `learning/test_sac`; of the others, their own."""
+    for rank, (name, places) in enumerate(GROUPS):
+        if file.startswith(places):
+            return rank, name
+    return len(GROUPS), file
+
+
+def file_of(nodeid: str) -> str:
+    """Returns the file of a test's identifier, `tests/learning/test_sac.py::test_…`, without folder and ending."""
+    return nodeid.partition("::")[0].removeprefix("tests/").removesuffix(".py")
+
+
+class GroupScheduling(LoadScopeScheduling):
+    """Gives each process whole groups of tests."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group_of(file_of(nodeid))[1]
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> GroupScheduling:
+    return GroupScheduling(config, log)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Puts tests in groups, the long ones first."""
-    rank = {}
-    for item in items:
-        file = item.path.relative_to(Path(__file__).parent).with_suffix("").as_posix()
-        groups = (number for number, (_, places) in enumerate(GROUPS) if file.startswith(places))
-        rank[item] = next(groups, len(GROUPS))
-        item.add_marker(pytest.mark.xdist_group(GROUPS[rank[item]][0] if rank[item] < len(GROUPS) else file))
-    items.sort(key=rank.__getitem__)
+    """Puts the long groups first."""
+    items.sort(key=lambda item: group_of(file_of(item.nodeid))[0])
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -1,4 +1,4 @@
-"""A scale of reward for each task, by which all tasks' returns have the same size (BRC).
+"""A scale of reward for each task, so that returns of all tasks have the same size (BRC).
 
 naumix/BiggerRegularizedCategorical divides rewards by the largest return seen. Here the largest return is the largest
 mean reward of an environment in an epoch, continued for ever.
@@ -31,5 +31,5 @@ def largest_reward(family: Family, tasks: TaskParams, transitions: Transition, b
 
 
 def reward_scale(config: SacConfig, largest: jax.Array) -> jax.Array:
-    """Returns the factor on each task's rewards [tasks], by which a return from `largest` becomes `return_scale`."""
+    """Returns the factor on each task's rewards [tasks]; it scales the return of `largest` to `return_scale`."""
     return config.return_scale * (1 - config.discount) / jnp.maximum(largest, SMALLEST)

@@ -201,7 +201,7 @@ class SacLearner:
     ) -> tuple[tuple[Params, Params, jax.Array], Metrics]:
         """Returns the gradients of policy, critics and log-temperature, and metrics."""
         batch = self.batches.take(buffer, draws)
-        share = self.config.sac.policy_share  # items stand in order of tasks, so every n-th has as many of each
+        share = self.config.sac.policy_share  # a batch is in order of tasks, so every n-th item is as often of each
         task, now = batch.task[::share], jax.tree.map(lambda leaf: leaf[::share], draws.now)
         temperature = _of_items(jnp.exp(state.log_temperature), task)
         table = self.codes_to_learn(state.policy, buffer, draws)

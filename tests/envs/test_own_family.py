@@ -95,7 +95,7 @@ def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
     point = EntryPoint("broken", "nosuchpackage:Mine", "ear_jax.families")
     monkeypatch.setattr("ear_jax.envs.registry.entry_points", lambda group: [point])
     assert main(["families"]) == 0
-    assert "broken is not to be had here: family 'broken' cannot be loaded" in capsys.readouterr().out
+    assert "broken is not available here: family 'broken' cannot be loaded" in capsys.readouterr().out
     assert main(["families", "broken"]) == 2
     line = "ear: family 'broken' cannot be loaded from nosuchpackage:Mine: ModuleNotFoundError: No module named"
     assert capsys.readouterr().err.startswith(line)

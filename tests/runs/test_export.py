@@ -24,7 +24,7 @@ def exported(finished, tmp_path, capsys) -> Path:
     assert main(["export", str(finished), str(file), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert (document["file"], document["epoch"], document["bytes"]) == (str(file), 24, file.stat().st_size)
-    assert "trained for 24 epochs, 520 env steps and 96 updates a seed, mean return -" in document["card"]
+    assert "trained for 24 epochs, 520 env steps and 96 updates per seed, mean return -" in document["card"]
     return file
 
 
