@@ -105,7 +105,7 @@ class SacLearner:
         policy = self.agent.init_policy(key_policy)
         critics = jax.vmap(self.critic.init)(jax.random.split(key_critics, CRITICS))
         temperatures = (self.task_count,) if self.agent.own_temperatures else ()
-        log_temperature = jnp.log(jnp.full(temperatures, self.config.sac.initial_temperature))
+        log_temperature = jnp.log(jnp.full(temperatures, self.config.sac.initial_temperature, jnp.float32))
         return SacState(
             policy=policy,
             critics=critics,
