@@ -114,8 +114,8 @@ def test_readmes_first_number_is_that_of_the_records(place):
 
 
 def test_a_record_that_is_gone_shows_as_missing_and_breaks_nothing(place):
-    for record in (ROOT / "experiments" / "records").glob("h*-vel-ear-fast-seed[01]"):
-        shutil.copytree(record, inventory.RECORDS / record.name)
+    for directory in (ROOT / "experiments" / "records").glob("h*-vel-ear-fast-seed[01]"):
+        shutil.copytree(directory, inventory.RECORDS / directory.name)
     gone = sorted(inventory.RECORDS.glob("hopper-vel-ear-fast-seed*"))
     assert cells(section("table-5", place / "out"), "Hopper-Vel")[4] != "—, no run yet"
     for directory in gone:
