@@ -81,7 +81,10 @@ def test_learning_rounds_and_acting_does_not():
     assert 0 < np.abs(learnt - acted).max() < 0.02
 
 
-@pytest.mark.parametrize("agent", ["ear", "ear-rnn", "multihead", "onehot", "pearl"])
+@pytest.mark.parametrize(
+    "agent",
+    ["ear", "pearl", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ear-rnn", "multihead", "onehot"))],
+)
 def test_an_update_is_nearly_float32s(agent: str):
     """The gradient of each network, Adam's first moment, points the same way."""
     program = bandit_program(agent)

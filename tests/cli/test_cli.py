@@ -196,8 +196,8 @@ def test_paper_preset_is_the_papers():
     assert (config.replay.capacity, config.collect.pretrain_epochs) == (1_000_000, 20)
 
 
-# To save time: ear trains in many tests, one-hots add no state of their own, and MAML takes long to compile.
-SLOWLY = {"ear", "onehot", "onehot-blind", "maml"}
+# To save time: ear trains in many tests, one-hots, heads and RNNs add no state of their own, MAML compiles for long.
+SLOWLY = {"ear", "ear-rnn", "onehot", "onehot-blind", "multihead", "maml"}
 
 
 @pytest.mark.parametrize("agent", [pytest.param(one, marks=[pytest.mark.slow] * (one in SLOWLY)) for one in METHODS])

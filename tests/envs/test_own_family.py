@@ -50,6 +50,7 @@ def test_the_documents_family_is_what_it_says(family_file):
     assert (bool(family.terminated(leaning)), bool(family.terminated(state.pipeline_state))) == (True, False)
 
 
+@pytest.mark.slow  # `house/test_extending.py` trains it too
 def test_the_documents_family_trains_and_writes_metrics(family_file, run_directory):
     tiny = tiny_config(family=f"{family_file}:BalanceAt", tasks=("-0.3", "at-0.3"), epochs=2)
     train_run(tiny, run_directory)

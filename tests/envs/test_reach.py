@@ -194,6 +194,7 @@ def test_mjx_follows_c_within_measured_tolerance(reach):
         assert np.max(error) < worst
 
 
+@pytest.mark.slow
 def test_trains_by_the_command_line(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     config = tiny_config(family="reach", tasks=("0", "36"))

@@ -38,6 +38,7 @@ def test_a_categorical_target_keeps_mass_and_mean(walkthrough):
         assert int((masses > 0.01).sum()) == {0.5: 1, 0.6: 2}[reward]
 
 
+@pytest.mark.slow
 def test_it_solves_the_bandit(walkthrough, monkeypatch):
     monkeypatch.setitem(METHODS, "ear-c51", walkthrough.METHOD)
     program = bandit_program("ear-c51")

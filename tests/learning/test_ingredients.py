@@ -143,14 +143,14 @@ def test_ltes_that_critics_see_are_taught_by_them(monkeypatch):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"network": {"critic_blocks": 1}, "sac": {"weight_decay": 1e-3}},
+        pytest.param({"network": {"critic_blocks": 1}, "sac": {"weight_decay": 1e-3}}, marks=pytest.mark.slow),
         {
-            "network": {"critic_bins": 21, "critic_task": "lte"},
+            "network": {"critic_bins": 21, "critic_blocks": 1, "critic_task": "lte"},
             "sac": {"return_scale": 10.0},
             "collect": {"hold_noise": 4},
         },
     ],
-    ids=["residual critics", "categorical critics"],
+    ids=["residual critics", "categorical critics of residual blocks"],
 )
 def test_the_bandit_is_solved_with_them(changes):
     program = bandit(**changes)

@@ -30,7 +30,11 @@ def test_an_observation_is_the_last_few_in_their_order_and_the_first_fills_in():
 
 @pytest.mark.parametrize(
     ("agent", "history", "best"),
-    [("ear-rnn", 4, 0.0), pytest.param("ear-rnn", 2, -0.125, marks=pytest.mark.slow), ("ear", 1, -0.1875)],
+    [
+        ("ear-rnn", 4, 0.0),
+        pytest.param("ear-rnn", 2, -0.125, marks=pytest.mark.slow),
+        pytest.param("ear", 1, -0.1875, marks=pytest.mark.slow),
+    ],
 )
 def test_a_cue_is_recalled_as_far_back_as_the_history_goes(agent, history, best):
     """A step without the cue costs 0.25 at best, so the mean over an episode of 4 shows how many steps know it.
