@@ -31,6 +31,7 @@ class Agent:
     code_noise: float = 0.0  # σ of the noise added to a code when an update samples actions; it is then projected
     on_sphere: bool = False  # codes are unit vectors
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE
+    critic_task: str = "onehot"  # the critics' input about the task: onehot, lte or both
     own_temperatures: bool = False  # one temperature per task instead of a shared one
     infer: Callable[[Params, Context], Posterior] | None = None  # policy parameters, steps of a task
     tuned: bool = False  # codes are offsets to the policy's parameters, found by gradient steps on episodes

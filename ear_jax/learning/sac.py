@@ -248,7 +248,7 @@ class SacLearner:
             each = losses.critic_losses(self.critic, predicted, target)
             return losses.critic_loss(each), (each, losses.q_values(self.critic, predicted))
 
-        taught = (0,) if self.config.network.critic_task == "onehot" else (0, 1)
+        taught = (0,) if self.agent.critic_task == "onehot" else (0, 1)
         with_grads = jax.value_and_grad(objective, argnums=taught, has_aux=True)
         (loss, (each, values)), (grad, *policy_grad) = with_grads(state.critics, state.policy)
         return CriticStep(grad, policy_grad[0] if policy_grad else None, loss, each, values)
@@ -263,7 +263,7 @@ class SacLearner:
 
     def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
         """Returns the critics' input about the tasks of a batch, [n, ·]: one-hots, LTEs or both."""
-        one_hot, kind = jax.nn.one_hot(task, self.task_count), self.config.network.critic_task
+        one_hot, kind = jax.nn.one_hot(task, self.task_count), self.agent.critic_task
         if kind == "onehot":
             return one_hot
         return table[task] if kind == "lte" else jnp.concatenate([one_hot, table[task]], axis=1)

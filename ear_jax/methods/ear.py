@@ -56,6 +56,7 @@ def ear(sizes: Sizes, config: Config) -> Agent:
         critic=task_critic(sizes.obs, sizes.action, task_size, config),
         code_noise=config.sac.lte_noise,
         on_sphere=network.normalise_lte,
+        critic_task=network.critic_task,
         embed=embed,
     )
 
