@@ -21,7 +21,7 @@ from ear_jax.embeddings.trajectory import Trajectory, follow
 from ear_jax.figures.video import caption, write_gif
 from ear_jax.rendering.film import STRIP_ELEVATION, arrange
 from ear_jax.rendering.scene import Canvas, camera_without_perspective
-from ear_jax.runs.trained import load
+from ear_jax.runs.trained import load, policy_of
 
 AGENT, SLOW, FAST, BETA = "pretrained:halfcheetah-vel", 0, 1, 0.5  # rows of its table of LTEs: 1 and 2 m/s
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "race.gif"
@@ -72,7 +72,7 @@ def race(
 def main(path: Path = PICTURE) -> None:
     trained = load(Path(AGENT))
     program, agent = trained.program, trained.program.agent
-    policy = jax.tree.map(lambda leaf: leaf[0], trained.policies)
+    policy = policy_of(trained, 0)
     table = agent.codes(policy)
     between = blend(table[SLOW], table[FAST], jnp.float32(BETA), agent.project)
     codes = jnp.stack([table[SLOW], between, table[FAST]])

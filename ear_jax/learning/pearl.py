@@ -95,8 +95,6 @@ class PearlLearner(SacLearner):
         assert self.agent.infer
         collect = self.config.collect
         items, held = replay.recent(buffer, place, collect.envs * collect.steps)
-        scale = self.batches.reward_scale(buffer)
-        scale = scale[:, None] if isinstance(scale, jax.Array) else scale
-        reward = scale * score(self.family, items.outcome, self.tasks)
+        reward = self.config.sac.reward_scale * score(self.family, items.outcome, self.tasks)
         contexts = Context(items.obs, items.action, reward, held)
         return jax.vmap(self.agent.infer, in_axes=(None, 0))(policy, contexts)

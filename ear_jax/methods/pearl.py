@@ -13,6 +13,7 @@ from ear_jax.agents.networks import Params, mlp
 from ear_jax.agents.posterior import Context, Posterior, product
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config
+from ear_jax.errors import UsageError
 from ear_jax.learning.pearl import PearlLearner
 from ear_jax.methods.method import OF_EMBEDDINGS, OF_MAML, Method, Sizes
 
@@ -55,6 +56,14 @@ def pearl(sizes: Sizes, config: Config) -> Agent:
     )
 
 
+def check(config: Config) -> None:
+    """Raises UsageError for a scale of reward that changes: the encoder reads rewards, in new tasks too."""
+    if config.sac.return_scale:
+        raise UsageError(
+            "--sac.return-scale does not go with pearl, whose encoder reads rewards; use --sac.reward-scale"
+        )
+
+
 _ENCODER: dict[str, Any] = {"lte_size": 5, "task_width": 200, "task_layers": 3}
 METHOD = Method(
     "pearl",
@@ -69,4 +78,5 @@ METHOD = Method(
         "fast": {"network": _ENCODER},
         "smoke": {"network": _ENCODER},
     },
+    check=check,
 )

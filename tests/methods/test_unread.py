@@ -61,13 +61,17 @@ def test_what_an_agent_does_not_read_is_what_changes_nothing_of_its_programs(age
     if on_policy:
         tiny = replace(tiny, sac=replace(tiny.sac, updates=1), collect=replace(tiny.collect, steps=6))
     scaled = replace(tiny, sac=replace(tiny.sac, return_scale=1.0))  # which critic_bins needs
-    before = {config: traced(config) for config in (tiny, scaled)}
+    before = {tiny: traced(tiny)}
     assert traced(tiny) == before[tiny]
     for name, value in flat(tiny).items():
         if any(fnmatch(name, pattern) for pattern in NOT_TRIED) or (on_policy and name == "sac.updates"):
             continue
-        config = scaled if name == "network.critic_bins" else tiny
-        after = traced(with_setting(config, name, other_value(name, value)))
+        config = scaled if name == "network.critic_bins" and agent != "pearl" else tiny
+        before[config] = before.get(config) or traced(config)
+        try:
+            after = traced(with_setting(config, name, other_value(name, value)))
+        except UsageError:
+            after = "refused"
         assert (after == before[config]) is not METHODS[agent].reads(name), name
 
 
@@ -87,6 +91,7 @@ def test_they_are_refused_and_others_are_not():
         ("halfcheetah-vel --agent maml --sac.discount 0.9", "agent 'maml' has no use for it"),
         ("halfcheetah-vel --replay.symmetry True", "halfcheetah-vel has no symmetry"),
         ("halfcheetah-vel --agent ear-rnn --network.encoder-layers 0", "whose first layer is its RNN"),
+        ("halfcheetah-vel --agent pearl --sac.return-scale 10", "does not go with pearl"),
     ],
 )
 def test_the_command_line_says_so_in_one_line(words, complaint, tmp_path, monkeypatch, capsys):
