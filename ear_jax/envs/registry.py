@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.util
 import sys
@@ -109,8 +110,15 @@ def find_task(family: Family, text: str) -> Task:
 
 
 def _from_file(path: str, class_name: str) -> type[Family]:
-    if not Path(path).is_file():
+    file = Path(path)
+    if not file.is_file():
         raise UsageError(f"no file {path}; name your own family as path/to/file.py:ClassName")
+    return _loaded(path, class_name, file.resolve(), file.stat().st_mtime_ns)
+
+
+@functools.cache
+def _loaded(path: str, class_name: str, resolved: Path, modified: int) -> type[Family]:
+    """Runs a user's file and returns its class; `resolved` and `modified` (ns) make a changed file run again."""
     spec = importlib.util.spec_from_file_location(f"ear_jax_user_{Path(path).stem}", path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{path} is not a Python file")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import sys
 from importlib.metadata import EntryPoint
@@ -90,6 +91,17 @@ def test_an_installed_package_offers_families_by_entry_point(monkeypatch, capsys
         make_family("bandti", "native")
     assert main(["families", "--json"]) == 0
     assert [family["name"] for family in json.loads(capsys.readouterr().out)["families"]] == [*FAMILIES, "bandit"]
+
+
+def test_a_file_is_run_once_until_it_is_modified(tmp_path, capsys):
+    file = tmp_path / "mine.py"
+    code = "print('run'); from tests.helpers.probe import Bandit\nclass Mine(Bandit): name = 'mine'"
+    for size, text in ((1, code), (2, code + "\n")):
+        file.write_text(text)
+        os.utime(file, ns=(size, size))
+        kinds = [find_family(f"{file}:Mine") for _ in range(3)]
+        assert len(set(kinds)) == 1
+        assert capsys.readouterr().out == "run\n"
 
 
 def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
