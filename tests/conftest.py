@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import resource
 import shutil
 from collections.abc import Callable, Iterator
@@ -62,13 +63,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def _compiling(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Compiled programs are shared between the tests of a process, and with nothing else.
+    """Compiled programs are shared between the tests of a process; EAR_JAX_TEST_CACHE keeps them for later processes.
 
     What they compute runs once or twice, so XLA spends no time on making it fast. Processes that tests start compile
     as a user's do, but for those started as `tests.helpers.quick`.
     """
     compile_quickly()
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path_factory.mktemp("xla")))
+    kept = os.environ.get("EAR_JAX_TEST_CACHE")
+    jax.config.update("jax_compilation_cache_dir", kept or str(tmp_path_factory.mktemp("xla")))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
