@@ -21,7 +21,8 @@ from ear_jax.learning.rollout import act_with, rollout
 from ear_jax.learning.sac import SacState
 from ear_jax.presets import preset_config
 from ear_jax.process import runtime
-from ear_jax.runs import loop, training
+from ear_jax.runs import training
+from ear_jax.runs.compiled import compile_program, train_epochs
 from ear_jax.runs.training import Program, TrainState
 
 PARTS = ("collect", "add", "update")
@@ -55,8 +56,8 @@ def repeat(step: Step, carried: Any) -> Callable[[], None]:
 
 def epoch_run(program: Program, state: TrainState) -> Callable[[], None]:
     """Returns a call that trains for an epoch as a run does; `state`, leaves [seeds, …], is donated."""
-    compiled = loop.compile_program(program, training.seed_keys(program.config))
-    return repeat(lambda state: loop.train_epochs(compiled, state, 1)[0], state)
+    compiled = compile_program(program, training.seed_keys(program.config))
+    return repeat(lambda state: train_epochs(compiled, state, 1)[0], state)
 
 
 def contenders(program: Program, start: Callable[[], TrainState]) -> dict[str, Callable[[], Any]]:

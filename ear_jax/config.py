@@ -232,6 +232,11 @@ def flat_tree(tree: dict[str, Any], where: str = "") -> dict[str, Any]:
     return flattened
 
 
+def is_on(number: Any) -> bool:
+    """Returns whether a setting that 0 turns off is on; a number that the compiled program gets as an argument is."""
+    return not isinstance(number, int | float) or number != 0
+
+
 def check(config: Config) -> None:
     """Raises UsageError for the first value out of its range, naming the range.
 
@@ -259,17 +264,10 @@ _MINIMA: dict[str, int] = {
     "minutes": 0,
     **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
-    "network.critic_blocks": 0,
-    "network.critic_bins": 0,
-    "sac.lr_decay": 0,
-    "sac.batch_size": 1,
-    "sac.policy_share": 1,
-    "sac.return_scale": 0,
-    "sac.updates": 1,
-    "collect.envs": 1,
-    "collect.steps": 1,
-    "collect.hold_noise": 1,
-    "collect.pretrain_epochs": 1,
+    **{f"network.critic_{name}": 0 for name in ("blocks", "bins")},
+    **{f"sac.{name}": 0 for name in ("lr_decay", "return_scale")},
+    **{f"sac.{name}": 1 for name in ("batch_size", "policy_share", "updates")},
+    **{f"collect.{name}": 1 for name in ("envs", "steps", "hold_noise", "pretrain_epochs")},
     "replay.capacity": 1,
     "log.epochs": 1,
     "log.episodes": 1,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from ear_jax.agents import categorical
 from ear_jax.agents.networks import Network, Params, mlp, residual
-from ear_jax.config import Config, NetworkConfig
+from ear_jax.config import Config, NetworkConfig, is_on
 
 Prediction = Any  # of one critic for one item: here Q, a scalar; for a categorical critic its logits [bins]
 Bellman = Callable[[jax.Array], jax.Array]  # next state's Q, of any shape → r + γ (Q − α log π)
@@ -75,7 +75,7 @@ def make_critic(init: Callable[..., Params], predict: Callable[..., Prediction],
     if config.network.critic_bins:
         value, target = (partial(function, limit=limit) for function in (categorical.value, categorical.target))
         return Critic(init, predict, value, target, categorical.loss)
-    return Critic(init, predict, target=partial(clipped_target, limit=limit) if limit else scalar_target)
+    return Critic(init, predict, target=partial(clipped_target, limit=limit) if is_on(limit) else scalar_target)
 
 
 def task_critic(obs_size: int, action_size: int, task_size: int, config: Config) -> Critic:

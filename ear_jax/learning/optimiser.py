@@ -6,7 +6,7 @@ import jax
 import optax
 
 from ear_jax.agents.networks import Params
-from ear_jax.config import SacConfig
+from ear_jax.config import SacConfig, is_on
 
 FINAL_LR = 0.1  # factor on the step size at the end of its decay
 
@@ -17,7 +17,8 @@ def make_optimiser(config: SacConfig) -> optax.GradientTransformation:
     The step size falls linearly over `lr_decay` updates.
     """
     lr = optax.linear_schedule(config.lr, FINAL_LR * config.lr, config.lr_decay) if config.lr_decay else config.lr
-    adam = optax.adamw(lr, weight_decay=config.weight_decay, mask=_kernels) if config.weight_decay else optax.adam(lr)
+    decays = is_on(config.weight_decay)
+    adam = optax.adamw(lr, weight_decay=config.weight_decay, mask=_kernels) if decays else optax.adam(lr)
     return optax.chain(optax.clip_by_global_norm(config.max_grad_norm), adam)
 
 

@@ -13,7 +13,7 @@ from flax import struct
 from ear_jax.agents import Agent
 from ear_jax.agents.critic import Critic, aggregate_q
 from ear_jax.agents.networks import Params
-from ear_jax.config import Config
+from ear_jax.config import Config, is_on
 from ear_jax.envs import Family
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.learning import losses, replay
@@ -120,7 +120,7 @@ class SacLearner:
         """Returns empty rings for the transitions of environments [tasks, envs]."""
         obs = jnp.zeros(self.family.observation_size)
         outcome = jax.tree.map(lambda leaf: leaf[0, 0], env_states.state.metrics)
-        scaled = self.config.sac.return_scale > 0
+        scaled = is_on(self.config.sac.return_scale)
         item = Experience(obs, jnp.zeros(self.family.action_size), obs, outcome, jnp.zeros((), bool))
         return replay.init(item, self.task_count, self.config.replay.capacity // self.task_count, scaled)
 

@@ -105,18 +105,21 @@ def steps(directory: Path) -> list[int]:
     return sorted(int(path.name) for path in named if path.is_dir())
 
 
-def newest(directory: Path, warn: Callable[[str], None]) -> Step | None:
+def newest(directory: Path, warn: Callable[[str], None], until: int | None = None) -> Step | None:
     """Returns the newest undamaged step, or None if there are no steps.
 
     Args:
       directory: the run's `checkpoints`.
       warn: called with a line for each newer step that is damaged.
+      until: leave out steps of later epochs.
 
     Raises:
       RunError: all steps are damaged.
     """
     faults: list[str] = []
     for epoch in reversed(steps(directory)):
+        if until is not None and epoch > until:
+            continue
         path = directory / str(epoch)
         fault = manifest.fault(path)
         if fault is None:

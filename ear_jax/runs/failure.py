@@ -1,4 +1,4 @@
-"""Numbers that are not finite: a run stops at the first one and leaves a report."""
+"""Numbers that are not finite: a run ends at the first one and leaves a report."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from ear_jax.errors import RunError
 from ear_jax.runs import records
 
 NAME = "failure.json"
 
 
-def check_finite(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray, before: int) -> None:
-    """Stops a run whose last block has a metric that is not finite.
+def failed(directory: Path) -> bool:
+    """Returns whether a run left a report."""
+    return (directory / NAME).exists()
+
+
+def find_failure(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray, before: int) -> str | None:
+    """Reports the first metric of a run's last block that is not finite.
 
     Args:
       directory: the run's, where the report is written.
@@ -23,8 +27,8 @@ def check_finite(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray
       finite: [seeds, tasks], the block's updates before a task's first non-finite loss.
       before: updates before the block.
 
-    Raises:
-      RunError: a metric is not finite; the message names it, the tasks and the report.
+    Returns:
+      A line that names the metric, the tasks and the report; None if all metrics are finite.
     """
     for row, counts in zip(rows, finite, strict=True):
         numbers = dict(_numbers(row))
@@ -43,10 +47,11 @@ def check_finite(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray
         }
         records.write_json(directory / NAME, report)
         tasks = f"task {first[0]}" if len(first) == 1 else f"{len(first)} tasks"
-        raise RunError(
+        return (
             f"seed {row['seed']} failed: {bad[0]} is {numbers[bad[0]]} after {report['finite_updates']:,} updates "
-            f"({tasks}); checkpoints are unchanged, and the same command would fail again; see {directory / NAME}"
+            f"({tasks}); see {directory / NAME}"
         )
+    return None
 
 
 def _numbers(row: dict[str, Any]) -> list[tuple[str, float]]:

@@ -1,13 +1,16 @@
-"""The host loop of training: clock, terminal and disk around an epoch's two compiled programs."""
+"""The host loop of training: clock, terminal and disk around an epoch's two compiled programs.
+
+Runs that differ in numbers only train side by side in one program; usually there is one run. The members of the
+program's leading axis are the seeds of all runs, run by run.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ear_jax.agents.networks import Params
 from ear_jax.config import Config, flat, from_dict
 from ear_jax.errors import RunError
 from ear_jax.learning.episodes import Episodes
@@ -24,27 +26,32 @@ from ear_jax.process.stopping import Stopped, StopRequest
 from ear_jax.process.terminal import TrainingBar, phase, say
 from ear_jax.runs import checkpoint, records, training
 from ear_jax.runs.checkpoint import Step
+from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
 from ear_jax.runs.directory import check_place, check_settings, check_tasks
 from ear_jax.runs.estimate import check_memory
-from ear_jax.runs.failure import check_finite
+from ear_jax.runs.failure import failed, find_failure
 from ear_jax.runs.lock import lock_directory
-from ear_jax.runs.seeds import over_seeds, seed_range, seed_sharding
+from ear_jax.runs.seeds import seed_range, seed_sharding
+from ear_jax.runs.side_by_side import differing, join, members, of_run
 from ear_jax.runs.training import Program, TrainState
 
 
 @dataclass(frozen=True)
-class Compiled:
-    """A program compiled for all seeds at once; every argument and result has a leading axis [seeds].
+class Run:
+    """A run to train."""
 
-    An epoch is two programs. On the native engine `collect` calls the host, so JAX cannot cache it and it is compiled
-    at every start; `learn`, the larger one, comes from JAX's cache.
-    """
+    config: Config
+    directory: Path
+    about: dict[str, Any] = field(default_factory=dict)  # the document of its config.json and checkpoints
 
-    init: Callable[[jax.Array], TrainState]
-    collect: Callable[[TrainState], tuple[TrainState, training.Metrics]]  # donates its argument, as `learn` does
-    learn: Callable[[TrainState], tuple[TrainState, training.Metrics]]
-    evaluate: Callable[[Params, jax.Array], Episodes]
-    state: TrainState  # shapes only
+
+@dataclass(frozen=True)
+class Progress:
+    """How far runs are that train side by side."""
+
+    steps: list[Step]  # of each run, of one epoch; empty before the first
+    epoch: int
+    seconds: float  # trained until then
 
 
 def train_run(config: Config, directory: Path) -> None:
@@ -60,27 +67,51 @@ def train_run(config: Config, directory: Path) -> None:
       RunError: the run cannot be trained here, or a metric is not finite.
       Stopped: a signal stopped the run after it saved.
     """
+    train_runs([Run(config, directory)])
+
+
+def train_runs(runs: Sequence[Run]) -> None:
+    """Trains runs side by side, as `train_run` does; one that fails does not stop the others.
+
+    Args:
+      runs: differ in nothing but the `NUMBERS` of `runs/side_by_side.py`.
+    """
     began = time.perf_counter()
-    check_place(directory)
-    program = training.make_program(config)
-    if (directory / "config.json").exists():
-        _check_same(directory, records.read_run(directory), program)
-    step, epoch, spent = _progress(directory, program, say)
-    if step and _finished(config, epoch, spent):
-        say(f"{directory} is finished: {epoch} epochs, {spent / 60:.1f} minutes (raise --epochs or --minutes for more)")
+    for run in runs:
+        check_place(run.directory)
+    program = training.make_program(members([run.config for run in runs]))
+    for run in runs:
+        if (run.directory / "config.json").exists():
+            _check_same(run.directory, records.read_run(run.directory), run.config, program)
+    progress = _progress(runs, program, say)
+    if progress.steps and _finished(program.config, progress.epoch, progress.seconds):
+        done = f"{progress.epoch} epochs, {progress.seconds / 60:.1f} minutes"
+        say(f"{_place(runs)} is finished: {done} (raise --epochs or --minutes for more)")
         return
-    keys = training.seed_keys(config)
     check_memory(program)
-    with lock_directory(directory, say), StopRequest(say) as request:
-        step, epoch, spent = _progress(directory, program, lambda _: None)  # another process may have trained meanwhile
-        about = _about(program)
-        _write_settings(directory / "config.json", about)
-        records.keep_rows(directory / "metrics.jsonl", epoch)
-        say(header(program, directory))
+    runs = [replace(run, about=_about(program, run.config)) for run in runs]
+    with ExitStack() as held:
+        for run in runs:
+            held.enter_context(lock_directory(run.directory, say))
+        request = held.enter_context(StopRequest(say))
+        progress = _progress(runs, program, _ignore)  # another process may have trained meanwhile
+        for run in runs:
+            _write_settings(run.directory / "config.json", run.about)
+            records.keep_rows(run.directory / "metrics.jsonl", progress.epoch)
+        say(header(replace(program, config=runs[0].config), _place(runs)))
+        keys = jnp.concatenate([training.seed_keys(run.config) for run in runs])
         with phase("compiling"):
-            compiled = compile_program(program, keys)
-        state = _restore(program, compiled, keys, step) if step else _begin(program, compiled, keys)
-        _train_blocks(program, compiled, state, directory, about, lambda: spent + time.perf_counter() - began, request)
+            compiled = compile_program(program, keys, differing([run.config for run in runs]))
+        state = _restore(program, compiled, keys, progress) if progress.steps else _begin(program, compiled, keys)
+        _train_blocks(
+            program, runs, compiled, state, keys, lambda: progress.seconds + time.perf_counter() - began, request
+        )
+
+
+def _place(runs: Sequence[Run]) -> str:
+    """Names where runs are."""
+    first = runs[0].directory
+    return str(first) if len(runs) == 1 else f"{first.parent} ({len(runs)} runs side by side)"
 
 
 def _write_settings(path: Path, about: dict[str, Any]) -> None:
@@ -90,53 +121,26 @@ def _write_settings(path: Path, about: dict[str, Any]) -> None:
         records.write_json(path, {**about, **before, "config": about["config"]})
 
 
-def _progress(directory: Path, program: Program, warn: Callable[[str], None]) -> tuple[Step | None, int, float]:
-    """Returns a run's newest good step, its epoch and the seconds trained until then."""
-    step = checkpoint.newest(directory / "checkpoints", warn)
-    if step:
-        _check_same(step.path, step.about, program)
-    epoch = step.epoch if step else 0
-    rows = records.read_rows(directory / "metrics.jsonl")
-    return step, epoch, max((row["seconds"] for row in rows if row["epoch"] <= epoch), default=0.0)
+def _ignore(_: str) -> None:
+    """Says nothing."""
 
 
-def compile_program(program: Program, keys: jax.Array) -> Compiled:
-    """Compiles a run's programs for the seeds' keys [seeds]; one compiles while the next is traced.
-
-    Evaluation is compiled when it is first called, after a block.
-    """
-    seeds = len(keys)
-
-    def evaluate(policy: Params, key: jax.Array) -> Episodes:
-        return training.evaluate(program, policy, key, program.config.log.episodes)
-
-    init = over_seeds(partial(training.init, program), seeds, (0,))
-    collect = over_seeds(partial(training.collect, program), seeds, (0,), donate_argnums=0)
-    learn = over_seeds(partial(training.learn, program), seeds, (0,), program.config.network.matmul, donate_argnums=0)
-    play = over_seeds(evaluate, seeds, (0, 0))
-    state = jax.eval_shape(init, keys)
-    with ThreadPoolExecutor() as pool:
-        lowered = (jitted.lower(argument) for jitted, argument in ((collect, state), (learn, state), (init, keys)))
-        jobs = [pool.submit(traced.compile) for traced in lowered]
-        collect, learn, init = (job.result() for job in jobs)
-    return Compiled(init, collect, learn, play, state)
-
-
-def fill_replay(compiled: Compiled, state: TrainState, epochs: int) -> TrainState:
-    """Fills the replay by epochs of collection with the current policy, without updates."""
-    for _ in range(epochs):
-        state, _ = compiled.collect(state)
-    return jax.block_until_ready(state)
-
-
-def train_epochs(compiled: Compiled, state: TrainState, epochs: int) -> tuple[TrainState, list[training.Metrics]]:
-    """Trains for some epochs and returns the metrics of each, without waiting for the device."""
-    metrics = []
-    for _ in range(epochs):
-        state, collected = compiled.collect(state)
-        state, learnt = compiled.learn(state)
-        metrics.append({**collected, **learnt})
-    return state, metrics
+def _progress(runs: Sequence[Run], program: Program, warn: Callable[[str], None]) -> Progress:
+    """Returns the newest good step of each run at the newest epoch of which all have one."""
+    steps, until = [], None
+    while True:
+        found = [checkpoint.newest(run.directory / "checkpoints", warn, until) for run in runs]
+        warn = _ignore  # the same damage again
+        steps = [step for step in found if step]
+        until = min((step.epoch for step in steps), default=0)
+        if len(steps) < len(runs) or all(step.epoch == until for step in steps):
+            break
+    if len(steps) < len(runs):
+        steps, until = [], 0
+    for run, step in zip(runs, steps, strict=False):
+        _check_same(step.path, step.about, run.config, program)
+    rows = [row for run in runs for row in records.read_rows(run.directory / "metrics.jsonl")]
+    return Progress(steps, until, max((row["seconds"] for row in rows if row["epoch"] <= until), default=0.0))
 
 
 def _begin(program: Program, compiled: Compiled, keys: jax.Array) -> TrainState:
@@ -144,37 +148,39 @@ def _begin(program: Program, compiled: Compiled, keys: jax.Array) -> TrainState:
         return fill_replay(compiled, compiled.init(keys), program.config.collect.pretrain_epochs)
 
 
-def _restore(program: Program, compiled: Compiled, keys: jax.Array, step: Step) -> TrainState:
-    """Restores a step's state; a replay that was not saved is refilled with the current policy."""
-    like = compiled.state
-    differences = _differences(step.about, program)
-    if differences:
-        say(f"warning: {'; '.join(differences)}: results may differ in the last bit")
-    with phase(f"restoring epoch {step.epoch}"):
-        if step.about["replay"]:
-            return jax.device_put(checkpoint.restore(step, like), seed_sharding(len(keys)))
-        state = checkpoint.restore(step, like.without_replay)
+def _restore(program: Program, compiled: Compiled, keys: jax.Array, progress: Progress) -> TrainState:
+    """Restores the runs' steps; a replay that was not saved is refilled with the current policy."""
+    steps, epoch = progress.steps, progress.epoch
+    for line in dict.fromkeys(line for step in steps for line in _differences(step.about, program)):
+        say(f"warning: {line}: results may differ in the last bit")
+    saved = all(step.about["replay"] for step in steps)
+    like = compiled.state if saved else compiled.state.without_replay
+    with phase(f"restoring epoch {epoch}"):
+        state = join([checkpoint.restore(step, of_run(like, index, len(steps))) for index, step in enumerate(steps)])
+        if saved:
+            return jax.device_put(state, seed_sharding(len(keys)))
     epochs = program.config.collect.pretrain_epochs
     say(
-        f"warning: epoch {step.epoch} was saved without its replay; {epochs} epochs of collection "
+        f"warning: epoch {epoch} was saved without its replay; {epochs} epochs of collection "
         f"({program.env_steps(epochs):,} env steps per seed) refill it, so results will differ from an unbroken run"
     )
-    state = dataclasses.replace(state, replay=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like.replay))
+    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), compiled.state.replay)
     with phase("collecting with the current policy"):
-        return fill_replay(compiled, jax.device_put(state, seed_sharding(len(keys))), epochs)
+        state = jax.device_put(replace(state, replay=empty), seed_sharding(len(keys)))
+        return fill_replay(compiled, state, epochs)
 
 
 def _train_blocks(
     program: Program,
+    runs: Sequence[Run],
     compiled: Compiled,
     state: TrainState,
-    directory: Path,
-    about: dict[str, Any],
+    keys: jax.Array,
     clock: Callable[[], float],
     request: StopRequest,
 ) -> None:
-    """Trains block by block until the run is finished or stopped; each block is evaluated, recorded and maybe saved."""
-    config, keys = program.config, training.seed_keys(program.config)
+    """Trains block by block until the end or a stop; each block is evaluated, recorded and maybe saved."""
+    config = program.config
     epoch, blocks = int(state.epoch[0]), 0
     last = _finished(config, epoch, clock()) or request.signal is not None
     if last and request.signal is None and epoch < config.epochs:
@@ -188,13 +194,16 @@ def _train_blocks(
             episodes = compiled.evaluate(state.learner.policy, training.evaluation_keys(keys, epoch))
             metrics, episodes = jax.device_get((metrics, episodes))  # waits for the device, once per block
             block_seconds = time.perf_counter() - block_began
-            finite = sum(epoch_metrics.pop("finite_updates") for epoch_metrics in metrics)  # [seeds, tasks]
+            finite = sum(epoch_metrics.pop("finite_updates") for epoch_metrics in metrics)  # [members, tasks]
             rows = _rows(program, state, clock(), metrics, episodes)
-            check_finite(directory, rows, finite, (epoch - count) * config.sac.updates)
-            records.append_rows(directory / "metrics.jsonl", rows)
+            for index, run in enumerate(runs):
+                own = slice(index * run.config.seeds, (index + 1) * run.config.seeds)
+                named = [{"seed": run.config.seed + number, **row} for number, row in enumerate(rows[own])]
+                _record(run, named, finite[own], (epoch - count) * config.sac.updates, alone=len(runs) == 1)
             last = _finished(config, epoch, clock()) or request.signal is not None
             if last or blocks % config.checkpoint.blocks == 0:
-                _save(directory, state, about, last)
+                for index, run in enumerate(runs):
+                    _save(run, of_run(state, index, len(runs)), last)
             steps, updates = count * program.env_steps_per_epoch, count * config.sac.updates
             mean_return = float(np.mean(episodes.returns))
             steps_rate, updates_rate = (config.seeds * number / block_seconds for number in (steps, updates))
@@ -204,11 +213,24 @@ def _train_blocks(
         raise Stopped(request.signal)
 
 
-def _save(directory: Path, state: TrainState, about: dict[str, Any], last: bool) -> None:
+def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: int, alone: bool) -> None:
+    """Writes a block's rows; a run whose metrics are not finite ends, unless others train beside it."""
+    if not alone and failed(run.directory):
+        return
+    failure = find_failure(run.directory, rows, finite, before)
+    if failure and alone:
+        raise RunError(f"{failure}; checkpoints are unchanged, and the same command would fail again")
+    if failure:
+        say(f"warning: {failure}; the other runs go on")
+    else:
+        records.append_rows(run.directory / "metrics.jsonl", rows)
+
+
+def _save(run: Run, state: TrainState, last: bool) -> None:
     """Saves a step; a failure ends the run only at its last step, as a full disk may have room again by the next."""
-    kept = state if about["replay"] else state.without_replay
+    kept = state if run.about["replay"] else state.without_replay
     try:
-        checkpoint.save(directory / "checkpoints", int(state.epoch[0]), kept, about)
+        checkpoint.save(run.directory / "checkpoints", int(state.epoch[0]), kept, run.about)
     except RunError as error:
         if last:
             raise RunError(f"{error}; the same command continues from the previous checkpoint") from error
@@ -222,13 +244,12 @@ def _finished(config: Config, epoch: int, seconds: float) -> bool:
 def _rows(
     program: Program, state: TrainState, seconds: float, metrics: list[training.Metrics], episodes: Episodes
 ) -> list[dict[str, Any]]:
-    """Builds one row per seed: means of metrics over the block's epochs, and evaluated returns by task."""
-    returns = episodes.returns.mean(axis=-1)  # [seeds, tasks]
-    means = jax.tree.map(lambda *epochs: np.mean(epochs, axis=0), *metrics)  # each [seeds]
+    """Builds one row per member: means of metrics over the block's epochs, and evaluated returns by task."""
+    returns = episodes.returns.mean(axis=-1)  # [members, tasks]
+    means = jax.tree.map(lambda *epochs: np.mean(epochs, axis=0), *metrics)  # each [members]
     epoch = int(state.epoch[0])
     return [
         {
-            "seed": program.config.seed + index,
             "epoch": epoch,
             "env_steps": program.env_steps(int(state.collected[0])),
             "updates": epoch * program.config.sac.updates,
@@ -241,15 +262,17 @@ def _rows(
     ]
 
 
-def _about(program: Program) -> dict[str, Any]:
+def _about(program: Program, config: Config) -> dict[str, Any]:
     """Returns the document that describes a run in its `config.json` and checkpoints."""
+    beside = program.config.seeds // config.seeds
     return {
-        "config": dataclasses.asdict(program.config),
+        "config": dataclasses.asdict(config),
         "tasks": program.tasks.document,
         "parameters": program.agent.parameter_counts,
         "fingerprint": program.tasks.fingerprint,
         "engine": program.family.engine.name,
-        "replay": program.config.checkpoint.replay,
+        "replay": config.checkpoint.replay,
+        **({"runs_side_by_side": beside} if beside > 1 else {}),
         **records.provenance(),
     }
 
@@ -261,12 +284,12 @@ def _differences(about: dict[str, Any], program: Program) -> list[str]:
     return [f"{name} was {before.get(name)}, is {value}" for name, value in now.items() if before.get(name) != value]
 
 
-def _check_same(holder: Path, document: dict[str, Any], program: Program) -> None:
-    check_settings(holder, document, program.config)
+def _check_same(holder: Path, document: dict[str, Any], config: Config, program: Program) -> None:
+    check_settings(holder, document, config)
     check_tasks(holder, document, program.tasks)
 
 
-def header(program: Program, directory: Path) -> str:
+def header(program: Program, place: str | Path) -> str:
     """Returns the line that a run prints first."""
     config = program.config
     counts = program.agent.parameter_counts
@@ -274,5 +297,5 @@ def header(program: Program, directory: Path) -> str:
     return (
         f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · "
         f"{seed_range(config)} · policy of {counts['policy']:,} parameters{critics} · "
-        f"engine {program.family.engine.name} on {jax.default_backend()} · {directory}"
+        f"engine {program.family.engine.name} on {jax.default_backend()} · {place}"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from ear_jax.learning.learner import Learner, Metrics
 from ear_jax.methods import Sizes, find_method, make_agent
 from ear_jax.tasks import TaskSet, task_set
 
+Numbers = Mapping[str, jax.Array]  # settings by name, such as sac.lr, that are arguments of the compiled program
 EVALUATION_STREAM = 0x0E7A1  # keeps the keys of evaluation apart from those of training
 
 
@@ -77,10 +79,29 @@ def make_program(config: Config) -> Program:
     method.learner.check(config, len(tasks))
     if config.replay.symmetry and family.symmetry is None:
         raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
-    sizes = Sizes(family.observation_size, family.action_size, len(tasks))
-    learner = method.learner(make_agent(sizes, config), family, tasks.params, config)
-    float32_agent = make_agent(sizes, replace(config, network=replace(config.network, matmul="float32")))
-    return Program(config, family, tasks, float32_agent, learner)
+    float32 = replace(config, network=replace(config.network, matmul="float32"))
+    agent = make_agent(_sizes(family, len(tasks)), float32)
+    return Program(config, family, tasks, agent, _learner(config, family, tasks))
+
+
+def with_numbers(program: Program, numbers: Numbers) -> Program:
+    """Returns the program with some of the learner's settings replaced by scalars."""
+    if not numbers:
+        return program
+    config = program.config
+    for name, number in numbers.items():
+        group, _, setting = name.partition(".")
+        config = replace(config, **{group: replace(getattr(config, group), **{setting: number})})
+    return replace(program, config=config, learner=_learner(config, program.family, program.tasks))
+
+
+def _learner(config: Config, family: Family, tasks: TaskSet) -> Learner:
+    agent = make_agent(_sizes(family, len(tasks)), config)
+    return find_method(config.agent).learner(agent, family, tasks.params, config)
+
+
+def _sizes(family: Family, tasks: int) -> Sizes:
+    return Sizes(family.observation_size, family.action_size, tasks)
 
 
 def seed_keys(config: Config) -> jax.Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -13,9 +14,9 @@ import pytest
 
 from ear_jax.config import CheckpointConfig, Config, flat
 from ear_jax.presets import preset_config
-from ear_jax.runs import checkpoint, loop, training
+from ear_jax.runs import checkpoint, training
+from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
 from ear_jax.runs.leaves import named_leaves
-from ear_jax.runs.loop import compile_program
 from ear_jax.runs.training import Program, make_program, seed_keys
 
 
@@ -40,18 +41,18 @@ def finished_config(**changes: object) -> Config:
     return tiny_config(**{"seeds": 2, "epochs": 24, "checkpoint": CheckpointConfig(blocks=3), **changes})
 
 
-def compiled(config: Config) -> loop.Compiled:
+def compiled(config: Config) -> Compiled:
     """Returns the compiled program of a configuration; the seed and the length of a run do not change it."""
     return _compiled(dataclasses.replace(config, seed=0, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
 
 
 @functools.cache
-def _compiled(config: Config) -> loop.Compiled:
+def _compiled(config: Config) -> Compiled:
     return compile_program(make_program(config), seed_keys(config))
 
 
-def compile_once(program: Program, keys: jax.Array) -> loop.Compiled:
-    return compiled(program.config)
+def compile_once(program: Program, keys: jax.Array, numbers: Mapping[str, np.ndarray] | None = None) -> Compiled:
+    return compile_program(program, keys, numbers) if numbers else compiled(program.config)
 
 
 def words(config: Config) -> list[str]:
@@ -70,8 +71,8 @@ stray_writes = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExcept
 def state_after(config: Config, epochs: int) -> training.TrainState:
     """Returns the state after some epochs of training, without a run directory."""
     program = compiled(config)
-    state = loop.fill_replay(program, program.init(seed_keys(config)), config.collect.pretrain_epochs)
-    return loop.train_epochs(program, state, epochs)[0]
+    state = fill_replay(program, program.init(seed_keys(config)), config.collect.pretrain_epochs)
+    return train_epochs(program, state, epochs)[0]
 
 
 def leaves(state) -> list[np.ndarray]:

@@ -1,0 +1,89 @@
+"""The training program compiled for all runs and seeds that train side by side, and epochs of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import numpy as np
+
+from ear_jax.agents.networks import Params
+from ear_jax.learning.episodes import Episodes
+from ear_jax.runs import training
+from ear_jax.runs.seeds import over_seeds
+from ear_jax.runs.training import Program, TrainState
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """A program compiled for all members at once; every argument and result has a leading axis [members].
+
+    The members are the seeds of all runs that train side by side.
+
+    An epoch is two programs. On the native engine `collect` calls the host, so JAX cannot cache it and it is compiled
+    at every start; `learn`, the larger one, comes from JAX's cache.
+    """
+
+    init: Callable[[jax.Array], TrainState]
+    collect: Callable[[TrainState], tuple[TrainState, training.Metrics]]  # donates its argument, as `learn` does
+    learn: Callable[[TrainState], tuple[TrainState, training.Metrics]]
+    evaluate: Callable[[Params, jax.Array], Episodes]
+    state: TrainState  # shapes only
+
+
+def compile_program(program: Program, keys: jax.Array, numbers: Mapping[str, np.ndarray] | None = None) -> Compiled:
+    """Compiles a run's programs for all members; one compiles while the next is traced.
+
+    Evaluation is compiled when it is first called, after a block.
+
+    Args:
+      program: the settings that all members share.
+      keys: each member's initial key, [members].
+      numbers: settings in which members differ, each [members]; they are arguments of what is compiled.
+    """
+    members, numbers = len(keys), dict(numbers or {})
+
+    def init(numbers: training.Numbers, key: jax.Array) -> TrainState:
+        return training.init(training.with_numbers(program, numbers), key)
+
+    def collect(numbers: training.Numbers, state: TrainState) -> tuple[TrainState, training.Metrics]:
+        return training.collect(training.with_numbers(program, numbers), state)
+
+    def learn(numbers: training.Numbers, state: TrainState) -> tuple[TrainState, training.Metrics]:
+        return training.learn(training.with_numbers(program, numbers), state)
+
+    def evaluate(policy: Params, key: jax.Array) -> Episodes:
+        return training.evaluate(program, policy, key, program.config.log.episodes)
+
+    axes, matmul = (0, 0), program.config.network.matmul
+    start, play = over_seeds(init, members, axes), over_seeds(evaluate, members, axes)
+    state = jax.eval_shape(start, numbers, keys)
+    jitted = (
+        (over_seeds(collect, members, axes, donate_argnums=1), state),
+        (over_seeds(learn, members, axes, matmul, donate_argnums=1), state),
+        (start, keys),
+    )
+    with ThreadPoolExecutor() as pool:
+        jobs = [pool.submit(function.lower(numbers, argument).compile) for function, argument in jitted]
+        collecting, learning, starting = (partial(job.result(), numbers) for job in jobs)
+    return Compiled(starting, collecting, learning, play, state)
+
+
+def fill_replay(compiled: Compiled, state: TrainState, epochs: int) -> TrainState:
+    """Fills the replay by epochs of collection with the current policy, without updates."""
+    for _ in range(epochs):
+        state, _ = compiled.collect(state)
+    return jax.block_until_ready(state)
+
+
+def train_epochs(compiled: Compiled, state: TrainState, epochs: int) -> tuple[TrainState, list[training.Metrics]]:
+    """Trains for some epochs and returns the metrics of each, without waiting for the device."""
+    metrics = []
+    for _ in range(epochs):
+        state, collected = compiled.collect(state)
+        state, learnt = compiled.learn(state)
+        metrics.append({**collected, **learnt})
+    return state, metrics
