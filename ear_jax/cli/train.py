@@ -17,8 +17,9 @@ from ear_jax.errors import UsageError
 from ear_jax.presets import check_effect, preset_config
 from ear_jax.process.runtime import enable_cache
 from ear_jax.runs.directory import check_place, default_directory
+from ear_jax.runs.documents import header
 from ear_jax.runs.estimate import check_memory, gigabytes, memory, times
-from ear_jax.runs.loop import header, train_run
+from ear_jax.runs.loop import train_run
 from ear_jax.runs.training import make_program
 
 

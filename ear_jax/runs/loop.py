@@ -6,7 +6,6 @@ program's leading axis are the seeds of all runs, run by run.
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -20,18 +19,17 @@ import numpy as np
 
 from ear_jax.config import Config, flat, from_dict
 from ear_jax.errors import RunError
-from ear_jax.learning.episodes import Episodes
-from ear_jax.learning.sac import CRITICS
 from ear_jax.process.stopping import Stopped, StopRequest
 from ear_jax.process.terminal import TrainingBar, phase, say
 from ear_jax.runs import checkpoint, records, training
 from ear_jax.runs.checkpoint import Step
 from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
 from ear_jax.runs.directory import check_place, check_settings, check_tasks
+from ear_jax.runs.documents import about, differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
 from ear_jax.runs.failure import failed, find_failure
 from ear_jax.runs.lock import lock_directory
-from ear_jax.runs.seeds import seed_range, seed_sharding
+from ear_jax.runs.seeds import seed_sharding
 from ear_jax.runs.side_by_side import differing, join, members, of_run
 from ear_jax.runs.training import Program, TrainState
 
@@ -47,7 +45,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far runs are that train side by side."""
+    """The point that runs training side by side have reached."""
 
     steps: list[Step]  # of each run, of one epoch; empty before the first
     epoch: int
@@ -89,7 +87,7 @@ def train_runs(runs: Sequence[Run]) -> None:
         say(f"{_place(runs)} is finished: {done} (raise --epochs or --minutes for more)")
         return
     check_memory(program)
-    runs = [replace(run, about=_about(program, run.config)) for run in runs]
+    runs = [replace(run, about=about(program, run.config)) for run in runs]
     with ExitStack() as held:
         for run in runs:
             held.enter_context(lock_directory(run.directory, say))
@@ -151,7 +149,7 @@ def _begin(program: Program, compiled: Compiled, keys: jax.Array) -> TrainState:
 def _restore(program: Program, compiled: Compiled, keys: jax.Array, progress: Progress) -> TrainState:
     """Restores the runs' steps; a replay that was not saved is refilled with the current policy."""
     steps, epoch = progress.steps, progress.epoch
-    for line in dict.fromkeys(line for step in steps for line in _differences(step.about, program)):
+    for line in dict.fromkeys(line for step in steps for line in differences(step.about, program)):
         say(f"warning: {line}: results may differ in the last bit")
     saved = all(step.about["replay"] for step in steps)
     like = compiled.state if saved else compiled.state.without_replay
@@ -195,7 +193,7 @@ def _train_blocks(
             metrics, episodes = jax.device_get((metrics, episodes))  # waits for the device, once per block
             block_seconds = time.perf_counter() - block_began
             finite = sum(epoch_metrics.pop("finite_updates") for epoch_metrics in metrics)  # [members, tasks]
-            rows = _rows(program, state, clock(), metrics, episodes)
+            rows = rows_of(program, state, clock(), metrics, episodes)
             for index, run in enumerate(runs):
                 own = slice(index * run.config.seeds, (index + 1) * run.config.seeds)
                 named = [{"seed": run.config.seed + number, **row} for number, row in enumerate(rows[own])]
@@ -241,61 +239,6 @@ def _finished(config: Config, epoch: int, seconds: float) -> bool:
     return epoch >= config.epochs or (config.minutes is not None and seconds >= 60 * config.minutes)
 
 
-def _rows(
-    program: Program, state: TrainState, seconds: float, metrics: list[training.Metrics], episodes: Episodes
-) -> list[dict[str, Any]]:
-    """Builds one row per member: means of metrics over the block's epochs, and evaluated returns by task."""
-    returns = episodes.returns.mean(axis=-1)  # [members, tasks]
-    means = jax.tree.map(lambda *epochs: np.mean(epochs, axis=0), *metrics)  # each [members]
-    epoch = int(state.epoch[0])
-    return [
-        {
-            "epoch": epoch,
-            "env_steps": program.env_steps(int(state.collected[0])),
-            "updates": epoch * program.config.sac.updates,
-            "seconds": round(seconds, 3),
-            "mean_return": float(returns[index].mean()),
-            "returns": dict(zip(program.tasks.names, returns[index].tolist(), strict=True)),
-            **{name: float(value[index]) for name, value in means.items()},
-        }
-        for index in range(program.config.seeds)
-    ]
-
-
-def _about(program: Program, config: Config) -> dict[str, Any]:
-    """Returns the document that describes a run in its `config.json` and checkpoints."""
-    beside = program.config.seeds // config.seeds
-    return {
-        "config": dataclasses.asdict(config),
-        "tasks": program.tasks.document,
-        "parameters": program.agent.parameter_counts,
-        "fingerprint": program.tasks.fingerprint,
-        "engine": program.family.engine.name,
-        "replay": config.checkpoint.replay,
-        **({"runs_side_by_side": beside} if beside > 1 else {}),
-        **records.provenance(),
-    }
-
-
-def _differences(about: dict[str, Any], program: Program) -> list[str]:
-    """Lists differences from the engine and versions that wrote a step, which may change results in the last bit."""
-    now = {"engine": program.family.engine.name, **records.versions()}
-    before = {"engine": about["engine"], **about["versions"]}
-    return [f"{name} was {before.get(name)}, is {value}" for name, value in now.items() if before.get(name) != value]
-
-
 def _check_same(holder: Path, document: dict[str, Any], config: Config, program: Program) -> None:
     check_settings(holder, document, config)
     check_tasks(holder, document, program.tasks)
-
-
-def header(program: Program, place: str | Path) -> str:
-    """Returns the line that a run prints first."""
-    config = program.config
-    counts = program.agent.parameter_counts
-    critics = f", {CRITICS} critics of {counts['critic']:,}" if counts["critic"] else ""
-    return (
-        f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · "
-        f"{seed_range(config)} · policy of {counts['policy']:,} parameters{critics} · "
-        f"engine {program.family.engine.name} on {jax.default_backend()} · {place}"
-    )

@@ -1,0 +1,72 @@
+"""What a run says of itself: the document of its checkpoints, the rows of its metrics and its first line."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ear_jax.config import Config
+from ear_jax.learning.episodes import Episodes
+from ear_jax.learning.sac import CRITICS
+from ear_jax.runs import records, training
+from ear_jax.runs.seeds import seed_range
+from ear_jax.runs.training import Program, TrainState
+
+
+def header(program: Program, place: str | Path) -> str:
+    """Returns the line that a run prints first."""
+    config = program.config
+    counts = program.agent.parameter_counts
+    critics = f", {CRITICS} critics of {counts['critic']:,}" if counts["critic"] else ""
+    return (
+        f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · "
+        f"{seed_range(config)} · policy of {counts['policy']:,} parameters{critics} · "
+        f"engine {program.family.engine.name} on {jax.default_backend()} · {place}"
+    )
+
+
+def about(program: Program, config: Config) -> dict[str, Any]:
+    """Returns the document that describes a run in its `config.json` and checkpoints."""
+    beside = program.config.seeds // config.seeds
+    return {
+        "config": dataclasses.asdict(config),
+        "tasks": program.tasks.document,
+        "parameters": program.agent.parameter_counts,
+        "fingerprint": program.tasks.fingerprint,
+        "engine": program.family.engine.name,
+        "replay": config.checkpoint.replay,
+        **({"runs_side_by_side": beside} if beside > 1 else {}),
+        **records.provenance(),
+    }
+
+
+def differences(document: dict[str, Any], program: Program) -> list[str]:
+    """Lists differences from the engine and versions that wrote a step, which may change results in the last bit."""
+    now = {"engine": program.family.engine.name, **records.versions()}
+    before = {"engine": document["engine"], **document["versions"]}
+    return [f"{name} was {before.get(name)}, is {value}" for name, value in now.items() if before.get(name) != value]
+
+
+def rows_of(
+    program: Program, state: TrainState, seconds: float, metrics: list[training.Metrics], episodes: Episodes
+) -> list[dict[str, Any]]:
+    """Builds one row per member: means of metrics over the block's epochs, and evaluated returns by task."""
+    returns = episodes.returns.mean(axis=-1)  # [members, tasks]
+    means = jax.tree.map(lambda *epochs: np.mean(epochs, axis=0), *metrics)  # each [members]
+    epoch = int(state.epoch[0])
+    return [
+        {
+            "epoch": epoch,
+            "env_steps": program.env_steps(int(state.collected[0])),
+            "updates": epoch * program.config.sac.updates,
+            "seconds": round(seconds, 3),
+            "mean_return": float(returns[index].mean()),
+            "returns": dict(zip(program.tasks.names, returns[index].tolist(), strict=True)),
+            **{name: float(value[index]) for name, value in means.items()},
+        }
+        for index in range(program.config.seeds)
+    ]
