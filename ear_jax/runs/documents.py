@@ -1,4 +1,4 @@
-"""What a run says of itself: the document of its checkpoints, the rows of its metrics and its first line."""
+"""The words of a run about itself: the document of its checkpoints, the rows of its metrics and its first line."""
 
 from __future__ import annotations
 
