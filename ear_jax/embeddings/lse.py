@@ -16,6 +16,7 @@ from ear_jax.learning.rollout import act_with, first_episode, rollout
 from ear_jax.runs.trained import Trained, for_each_seed
 
 SETTLED = 50  # steps left out at the start, while the robot gets going
+NEARLY = 0.8  # share of the highest peak of an autocorrelation that its period has at least
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Signal:
     path: np.ndarray  # [steps, 2], the first two principal components
     explained: np.ndarray  # [2], their shares of the variance
     autocorrelation: np.ndarray  # [lags], 1 at lag 0
-    period: int  # steps to the highest peak; 0 if there is none
+    period: int  # steps; 0 if there is none
     peak: float  # the autocorrelation there
 
 
@@ -86,7 +87,7 @@ def analyse(signal: np.ndarray) -> Signal:
     """Computes the principal components and the autocorrelation of a signal [steps, channels]."""
     path, explained = principal_components(signal)
     correlation = autocorrelation(signal)
-    period = highest_peak(correlation)
+    period = first_peak(correlation)
     return Signal(path, explained, correlation, period, float(correlation[period]) if period else 0.0)
 
 
@@ -109,15 +110,20 @@ def autocorrelation(signal: np.ndarray) -> np.ndarray:
     return np.fromiter(products, float) / power
 
 
-def highest_peak(correlation: np.ndarray) -> int:
-    """Returns the lag of the highest local maximum after the first negative value, or 0 if there is none."""
+def first_peak(correlation: np.ndarray) -> int:
+    """Returns the lag of the first peak nearly as high as the highest one; 0 if there is none.
+
+    Peaks are local maxima after the first negative value. A signal also repeats after multiples of its period, and noise
+    decides which of those peaks is the highest, so the first counts that has a share of at least `NEARLY` of it.
+    """
     below = np.flatnonzero(correlation < 0)
     if not len(below):
         return 0
     inner = correlation[1:-1]
     peaks = 1 + np.flatnonzero((inner >= correlation[:-2]) & (inner > correlation[2:]))
     peaks = peaks[peaks > below[0]]
-    return int(peaks[np.argmax(correlation[peaks])]) if len(peaks) else 0
+    high = peaks[correlation[peaks] >= NEARLY * max(correlation[peaks], default=0.0)]
+    return int(high[0]) if len(high) else 0
 
 
 def _describe(signal: Signal, dt: float) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ear_jax.embeddings.lse import analyse, autocorrelation, highest_peak, principal_components
+from ear_jax.embeddings.lse import analyse, autocorrelation, first_peak, principal_components
 
 STEPS = np.arange(120)
 
@@ -35,5 +35,32 @@ def test_noise_repeats_less_than_a_gait():
 
 def test_what_only_drifts_has_no_period():
     ramp = STEPS[:, None].astype(float)
-    assert highest_peak(autocorrelation(ramp)) == 0
+    assert first_peak(autocorrelation(ramp)) == 0
     assert analyse(np.ones((120, 2))).peak == 0
+
+
+def gait(period: float, noise: float, seed: int, others: tuple[tuple[float, float], ...] = ()) -> np.ndarray:
+    """Returns a signal of 150 steps and three channels with a period, and further ones as (period, amplitude)."""
+    rng, steps = np.random.default_rng(seed), np.arange(150)[:, None]
+    phases = np.array([0.0, 1.0, 2.5])
+    parts = [amplitude * np.sin(2 * np.pi * steps / each + phases) for each, amplitude in ((period, 1.0), *others)]
+    return sum(parts) + noise * rng.normal(size=(150, 3))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("period", "noise"), [(6, 0.1), (6.4, 0.1), (13, 0.2), (20, 0.3), (30, 0.1)])
+def test_a_period_is_no_multiple_of_itself(period, noise, seed):
+    assert abs(analyse(gait(period, noise, seed)).period - period) <= 1
+
+
+def test_a_pattern_that_repeats_only_at_every_other_beat_has_the_longer_period():
+    """The short part alone repeats after 6 steps, but half of the signal does not."""
+    assert analyse(gait(6, 0.05, 0, ((12, 1.0),))).period == 12
+
+
+@pytest.mark.parametrize("highest", [0.9605, 0.99, 1.0])
+def test_the_first_of_almost_equal_peaks_is_the_period(highest):
+    """The curve of a trained cheetah, whose second peak is higher than its first."""
+    curve = np.tile([0.94, 0.2, -0.3, -0.28, -0.3, 0.2], 8)
+    curve[0], curve[12] = 1, highest
+    assert first_peak(curve) == 6
