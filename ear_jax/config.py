@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import reprlib
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_type_hints
 
+import typeguard
 import tyro
 
 from ear_jax.errors import UsageError, unknown
@@ -202,21 +204,39 @@ def run_name(config: Config) -> str:
     return f"{family}-{config.agent}-{config.preset}-seed{seeds}"
 
 
-def from_dict(values: dict[str, Any], kind: type = Config, where: str = "") -> Any:
+def from_dict(values: Any, kind: type = Config, where: str = "") -> Any:
     """Builds a configuration from nested dictionaries, as in `config.json`; absent settings keep their defaults.
 
     Raises:
-      UsageError: a setting does not exist.
+      UsageError: a setting does not exist, or is not of its type.
     """
+    if not isinstance(values, dict):
+        raise UsageError(f"{where.rstrip('.') or 'the configuration'} must be a table of settings")
     types = get_type_hints(kind)
     settings: dict[str, Any] = {}
     for name, value in values.items():
         if name not in types:
             raise unknown("setting", where + name, [where + known for known in types])
         if dataclasses.is_dataclass(types[name]):
-            value = from_dict(value, types[name], f"{where}{name}.")
-        settings[name] = tuple(value) if isinstance(value, list) else value
+            settings[name] = from_dict(value, types[name], f"{where}{name}.")
+        else:
+            settings[name] = tuple(value) if isinstance(value, list) else value
+            _check_type(where + name, settings[name], types[name])
+    if kind is Config and "family" not in settings:
+        raise UsageError("the setting 'family' is missing")
     return kind(**settings)
+
+
+def _check_type(name: str, value: Any, kind: Any) -> None:
+    """Raises UsageError unless a setting is of its type, and its text has no control characters."""
+    try:
+        typeguard.check_type(value, kind, collection_check_strategy=typeguard.CollectionCheckStrategy.ALL_ITEMS)
+    except typeguard.TypeCheckError:
+        wanted = kind.__name__ if isinstance(kind, type) else str(kind).replace("typing.", "")
+        raise UsageError(f"the setting {name} is {reprlib.repr(value)}; it must be of type {wanted}") from None
+    texts = value if isinstance(value, tuple) else (value,)
+    if not all(text.isprintable() for text in texts if isinstance(text, str)):
+        raise UsageError(f"the setting {name} is {reprlib.repr(value)}, which is not plain text")
 
 
 def flat(config: Config) -> dict[str, Any]:
@@ -237,62 +257,6 @@ def is_on(number: Any) -> bool:
     return not isinstance(number, int | float) or number != 0
 
 
-def check(config: Config) -> None:
-    """Raises UsageError for the first value out of its range, naming the range.
-
-    Methods and learners check the settings that only they read.
-    """
-    for name, minimum in _MINIMA.items():
-        value = _setting(config, name)
-        if value is not None and not value >= minimum:
-            raise UsageError(f"{flag(name)} {value} is too small; it must be at least {minimum}")
-    for name, (low, high) in _RANGES.items():
-        value = _setting(config, name)
-        if not low < value <= high:
-            raise UsageError(f"{flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
-    if config.seed + config.seeds > MAX_SEED:
-        raise UsageError(f"--seed {config.seed} is too large; the last seed must be below {MAX_SEED}")
-    for name in ("sac.lte_noise", "sac.pessimism", "sac.weight_decay", "replay.own_share"):
-        if not 0 <= _setting(config, name) <= 1:
-            raise UsageError(f"{flag(name)} {_setting(config, name)} is out of range; it must be from 0 to 1")
-
-
-_MINIMA: dict[str, int] = {
-    "seed": 0,
-    "seeds": 1,
-    "epochs": 1,
-    "minutes": 0,
-    **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
-    **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
-    **{f"network.critic_{name}": 0 for name in ("blocks", "bins")},
-    **{f"sac.{name}": 0 for name in ("lr_decay", "return_scale")},
-    **{f"sac.{name}": 1 for name in ("batch_size", "policy_share", "updates")},
-    **{f"collect.{name}": 1 for name in ("envs", "steps", "hold_noise", "pretrain_epochs")},
-    "replay.capacity": 1,
-    "log.epochs": 1,
-    "log.episodes": 1,
-    "checkpoint.blocks": 1,
-}
-_RANGES: dict[str, tuple[float, float]] = {
-    "sac.lr": (0.0, 1.0),
-    "sac.discount": (0.0, 1.0),
-    "maml.discount": (0.0, 1.0),
-    "maml.inner_lr": (0.0, 1e3),
-    "maml.max_divergence": (0.0, 1e3),
-    "sac.tau": (0.0, 1.0),
-    "sac.reward_scale": (0.0, 1e6),
-    "sac.initial_temperature": (0.0, 1e6),
-    "sac.max_grad_norm": (0.0, 1e9),
-}
-
-
 def flag(name: str) -> str:
     """Returns a setting's flag on the command line."""
     return "--" + name.replace("_", "-")
-
-
-def _setting(config: Config, name: str) -> Any:
-    value: Any = config
-    for part in name.split("."):
-        value = getattr(value, part)
-    return value

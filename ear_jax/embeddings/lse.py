@@ -113,8 +113,8 @@ def autocorrelation(signal: np.ndarray) -> np.ndarray:
 def first_peak(correlation: np.ndarray) -> int:
     """Returns the lag of the first peak nearly as high as the highest one; 0 if there is none.
 
-    Peaks are local maxima after the first negative value. A signal also repeats after multiples of its period, and noise
-    decides which of those peaks is the highest, so the first counts that has a share of at least `NEARLY` of it.
+    Peaks are local maxima after the first negative value. A signal also repeats after multiples of its period, and
+    noise decides which of those peaks is the highest, so the first counts that has a share of at least `NEARLY` of it.
     """
     below = np.flatnonzero(correlation < 0)
     if not len(below):

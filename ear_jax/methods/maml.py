@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 
 from ear_jax.agents import Agent
 from ear_jax.agents.networks import Params, mlp
@@ -31,17 +31,23 @@ def maml(sizes: Sizes, config: Config) -> Agent:
     def init_policy(key: jax.Array) -> Params:
         return {"network": mean.init(key), "log_std": jnp.zeros(sizes.action)}
 
-    shapes = jax.eval_shape(init_policy, jax.random.key(0))
-    flat, rebuild = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), shapes))
+    leaves, structure = jax.tree.flatten(jax.eval_shape(init_policy, jax.random.key(0)))
+    *starts, code_size = accumulate((leaf.size for leaf in leaves), initial=0)
+
+    def rebuild(code: jax.Array) -> Params:
+        """Returns a code as offsets in the policy's structure."""
+        parts = jnp.split(code, starts[1:])
+        shaped = [part.reshape(leaf.shape) for part, leaf in zip(parts, leaves, strict=True)]
+        return jax.tree.unflatten(structure, shaped)
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
         own = jax.tree.map(jnp.add, policy, rebuild(code))
         return Gaussian(mean.apply(own["network"], obs), jnp.clip(own["log_std"], *LOG_STD_RANGE))
 
     return Agent(
-        code_size=len(flat),
+        code_size=code_size,
         init_policy=init_policy,
-        codes=lambda policy: jnp.zeros((sizes.tasks, len(flat))),
+        codes=lambda policy: jnp.zeros((sizes.tasks, code_size)),
         project=lambda code: code,
         distribution=distribution,
         critic=None,

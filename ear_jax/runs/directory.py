@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import reprlib
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -64,4 +65,4 @@ def check_tasks(holder: Path, document: dict[str, Any], tasks: TaskSet) -> None:
         return
     pairs = zip_longest(document.get("tasks", []), json.loads(json.dumps(tasks.document)))
     old, new = next((pair for pair in pairs if pair[0] != pair[1]), ("a task", "another"))
-    raise UsageError(f"{holder} was trained on other tasks: {old} is now {new}")
+    raise UsageError(f"{holder} was trained on other tasks: {reprlib.repr(old)} is now {reprlib.repr(new)}")

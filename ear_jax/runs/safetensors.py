@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +20,7 @@ from ear_jax.runs import records
 
 DTYPES = {"F32": np.dtype("<f4"), "I32": np.dtype("<i4"), "U32": np.dtype("<u4")}
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
-HEADER_LIMIT = 100_000_000  # bytes, as in the reference implementation
+HEADER_LIMIT = 1_000_000  # bytes; a parsed header takes up to thirty times as much memory
 
 
 def write(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str, str]) -> None:
@@ -35,26 +38,80 @@ def write(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str, str]) -
             file.write(np.ascontiguousarray(array).tobytes())
 
 
-def read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Returns a file's arrays and metadata; raises RunError if it is damaged or of another format."""
+@dataclass(frozen=True)
+class Entry:
+    """One array's place in a file."""
+
+    dtype: np.dtype
+    shape: tuple[int, ...]
+    begin: int  # bytes after the header
+    end: int
+
+
+@dataclass(frozen=True)
+class Header:
+    """A file's metadata and the places of its arrays."""
+
+    metadata: dict[str, str]
+    entries: dict[str, Entry]
+    size: int  # bytes before the arrays
+
+
+def read_header(path: Path) -> Header:
+    """Reads a file's header, whose arrays fill the rest of the file; memory and time do not grow with the file's size.
+
+    Raises:
+      RunError: the file is damaged, of another format, or cannot be read.
+    """
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            total = os.fstat(file.fileno()).st_size
+            size = int.from_bytes(file.read(8), "little")
+            if size > min(HEADER_LIMIT, total - 8):
+                raise ValueError("its header is longer than the file, or than 1 MB")
+            header = json.loads(file.read(size))
+        metadata, entries = header.pop("__metadata__", {}), {name: _entry(entry) for name, entry in header.items()}
+        if not (isinstance(metadata, dict) and all(isinstance(value, str) for value in metadata.values())):
+            raise ValueError("its metadata are not texts by name")
+        end = 0
+        for entry in sorted(entries.values(), key=lambda entry: (entry.begin, entry.end)):
+            if entry.begin != end:
+                raise ValueError("an array's offsets are out of range")
+            end = entry.end
+        if 8 + size + end != total:
+            raise ValueError(f"its arrays have {end:,} bytes, but {total - 8 - size:,} bytes follow its header")
+        return Header(metadata, entries, 8 + size)
     except OSError as error:
         raise RunError(f"cannot read {path}: {error.strerror}") from None
-    try:
-        size = int.from_bytes(content[:8], "little")
-        if size > min(HEADER_LIMIT, len(content) - 8):
-            raise ValueError("its header is longer than the file")
-        header = json.loads(content[8 : 8 + size])
-        metadata, arrays = header.pop("__metadata__", {}), memoryview(content)[8 + size :]
-        return {name: _array(arrays, **entry) for name, entry in header.items()}, metadata
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise RunError(f"{path} is not a complete safetensors file: {error}".splitlines()[0]) from None
 
 
-def _array(content: memoryview, dtype: str, shape: list[int], data_offsets: list[int]) -> np.ndarray:
-    begin, end = data_offsets
-    kind = DTYPES[dtype]
-    if not 0 <= begin <= end <= len(content) or end - begin != math.prod(shape) * kind.itemsize:
+def read_arrays(path: Path, header: Header) -> dict[str, np.ndarray]:
+    """Returns the arrays of a file by name; raises RunError if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            file.seek(header.size)
+            content = memoryview(file.read())
+        return {
+            name: np.frombuffer(content[entry.begin : entry.end], entry.dtype).reshape(entry.shape)
+            for name, entry in header.entries.items()
+        }
+    except (OSError, ValueError) as error:
+        raise RunError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
+
+
+def read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Returns a file's arrays and metadata; raises RunError if it is damaged or of another format."""
+    header = read_header(path)
+    return read_arrays(path, header), header.metadata
+
+
+def _entry(entry: Any) -> Entry:
+    """Checks an array's part of a header; raises ValueError, TypeError or KeyError."""
+    (begin, end), shape, dtype = entry["data_offsets"], entry["shape"], DTYPES[entry["dtype"]]
+    if not all(type(number) is int and number >= 0 for number in (*shape, begin, end)):
+        raise ValueError("a size in its header is not a whole number of at least 0")
+    if end - begin != math.prod(shape) * dtype.itemsize:
         raise ValueError("an array's offsets are out of range")
-    return np.frombuffer(content[begin:end], kind).reshape(shape)
+    return Entry(dtype, tuple(shape), begin, end)

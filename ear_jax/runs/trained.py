@@ -16,14 +16,15 @@ from ear_jax.agents.networks import Params
 from ear_jax.config import from_dict
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError, UsageError
+from ear_jax.limits import check
 from ear_jax.process.runtime import compiler_options
 from ear_jax.process.terminal import say
 from ear_jax.runs import checkpoint, records, training
 from ear_jax.runs.directory import check_tasks
-from ear_jax.runs.export import SUFFIX, read_policy, write_policy
+from ear_jax.runs.export import SUFFIX, read_about, read_policy, write_policy
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 from ear_jax.runs.seeds import seed_range
-from ear_jax.runs.training import Program, TrainState
+from ear_jax.runs.training import Program
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ def pick(trained: Trained, policy: int) -> Trained:
 
 def check_policy(trained: Trained, policy: int) -> None:
     """Raises UsageError for a policy that a run does not have."""
-    if not 0 <= policy < (seeds := trained.program.config.seeds):
+    seeds = trained.program.config.seeds
+    if not 0 <= policy < seeds:
         policies = "1 policy, number 0" if seeds == 1 else f"{seeds} policies, numbered from 0"
         raise UsageError(f"--policy {policy} is out of range: this run has {policies}")
 
@@ -148,7 +150,8 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
             f"tasks, in the order of the code table: {', '.join(program.tasks.names)}",
             f"trained for {trained.epoch} epochs, {program.env_steps(trained.collected):,} env steps and "
             f"{trained.epoch * config.sac.updates:,} updates per seed{mean_return}",
-            f"engine {about['engine']}, mujoco {versions['mujoco']}, jax {versions['jax']}, commit {about['commit']}",
+            f"engine {about['engine']}, mujoco {versions.get('mujoco')}, jax {versions.get('jax')}, "
+            f"commit {about.get('commit')}",
             "policy.* are the networks' parameters [seeds, …], codes the table [seeds, tasks, code]",
         ]
     )
@@ -160,7 +163,7 @@ def _from_run(directory: Path, family: str | None, engine: str | None) -> Traine
     if step is None:
         raise RunError(f"{directory} has no checkpoint yet; the same `ear train` command continues it")
     program = _program(directory, step.about, family, engine or step.about["config"]["engine"])
-    like = _shapes(program)
+    like = _of_each_seed(program, partial(training.init, program))
     empty = jax.tree.map(lambda _: None, like)
     learner = replace(empty.learner, policy=like.learner.policy)
     state = checkpoint.restore(step, replace(empty, learner=learner, collected=like.collected), partly=True)
@@ -170,19 +173,23 @@ def _from_run(directory: Path, family: str | None, engine: str | None) -> Traine
 
 
 def _from_file(path: Path, family: str | None, engine: str | None) -> Trained:
-    about, arrays = read_policy(path)
+    about, header = read_about(path)
     program = _program(path, about, family, engine or "auto")  # not the saved engine: it may come from another machine
-    like = {"policy": _shapes(program).learner.policy}
-    difference = first_difference(layout(named_leaves(like)), layout(arrays), partly=True)
+    like = {"policy": _of_each_seed(program, program.agent.init_policy)}
+    difference = first_difference(layout(named_leaves(like)), layout(header.entries), partly=True)
     if difference:
         raise RunError(f"{path} does not fit its configuration: {difference}")
     directory = path.with_name(path.name.removesuffix(SUFFIX) + "-results")
-    policies = rebuild(like, arrays)["policy"]
+    policies = rebuild(like, read_policy(path, header))["policy"]
     return Trained(str(path), program, policies, about["epoch"], directory, about["collected"], about)
 
 
 def _program(holder: Path, about: dict[str, Any], family: str | None, engine: str) -> Program:
-    config = from_dict(about["config"])
+    try:
+        config = from_dict(about["config"])
+        check(config)
+    except UsageError as error:
+        raise RunError(f"{holder} has settings that cannot be used: {error}") from None
     if family is None and config.family not in FAMILIES:
         raise UsageError(f"{holder} uses a family from outside ear_jax; to run its code, add --family {config.family}")
     if family is not None and family.rpartition(":")[2] != config.family.rpartition(":")[2]:
@@ -192,5 +199,6 @@ def _program(holder: Path, about: dict[str, Any], family: str | None, engine: st
     return program
 
 
-def _shapes(program: Program) -> TrainState:
-    return jax.eval_shape(jax.vmap(partial(training.init, program)), training.seed_keys(program.config))
+def _of_each_seed(program: Program, init: Callable[[jax.Array], Any]) -> Any:
+    """Returns the shapes of what `init` makes of every seed's key, each leaf [seeds, …]; nothing is allocated."""
+    return jax.eval_shape(lambda: jax.vmap(init)(training.seed_keys(program.config)))

@@ -13,12 +13,13 @@ from flax import struct
 
 from ear_jax.agents import Agent
 from ear_jax.agents.networks import Params
-from ear_jax.config import Config, check
+from ear_jax.config import Config
 from ear_jax.envs import Family, find_task, make_family
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import Episodes, play
 from ear_jax.learning.learner import Learner, Metrics
+from ear_jax.limits import check
 from ear_jax.methods import Sizes, find_method, make_agent
 from ear_jax.tasks import TaskSet, task_set
 
@@ -70,10 +71,10 @@ def make_program(config: Config) -> Program:
       UsageError: a name or value is invalid.
       RunError: the engine cannot run here.
     """
+    check(config)
     family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
     family.history = config.network.history
     tasks = task_set([find_task(family, name) for name in config.tasks]) if config.tasks else family.training_tasks()
-    check(config)
     method = find_method(config.agent)
     method.check(config)
     method.learner.check(config, len(tasks))

@@ -15,7 +15,7 @@ from ear_jax import pretrained
 from ear_jax.envs import make_family
 from ear_jax.presets import preset_config
 from ear_jax.runs import records
-from ear_jax.runs.export import read_policy, write_policy
+from ear_jax.runs.export import read_about, read_policy, write_policy
 from ear_jax.runs.trained import load
 from experiments import publish
 from experiments.__main__ import main
@@ -65,7 +65,8 @@ def test_without_an_evaluation_returns_are_the_last_rows_and_limits_unknown(reco
 
 def of_two_seeds(record: Path) -> None:
     """Adds a second seed to a record: the first's policy negated, with returns lower by one."""
-    about, arrays = read_policy(record / POLICY)
+    about, header = read_about(record / POLICY)
+    arrays = read_policy(record / POLICY, header)
     about["config"]["seeds"] = 2
     twice = jax.tree.map(lambda leaf: np.concatenate([leaf, -leaf]), load(record / POLICY).policies)
     write_policy(record / POLICY, twice, np.concatenate([arrays["codes"]] * 2), about, "")

@@ -14,6 +14,7 @@ PACKAGE = Path(ear_jax.__file__).parent
 ORDER = (
     "errors",
     "config",
+    "limits",
     "tasks",
     "process",
     "physics",

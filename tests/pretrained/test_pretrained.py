@@ -19,7 +19,7 @@ from ear_jax.cli.main import main
 from ear_jax.embeddings.interpolate import End, adjacent_pairs, trained_ends
 from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import records
-from ear_jax.runs.export import read_policy, write_policy
+from ear_jax.runs.export import read_about, read_policy, write_policy
 from ear_jax.runs.trained import load
 from experiments.inventory import RECORDS
 from experiments.publish import ALL_BYTES, FILE_BYTES
@@ -146,7 +146,8 @@ def test_no_code_is_run_because_a_file_says_so(folder, tmp_path):
     """The file and its card agree, and name a Python file as their family."""
     evil, path = tmp_path / "evil.py", folder / "evil.safetensors"
     evil.write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
-    about, arrays = read_policy(folder / "hopper-vel.safetensors")
+    about, header = read_about(folder / "hopper-vel.safetensors")
+    arrays = read_policy(folder / "hopper-vel.safetensors", header)
     about["config"]["family"] = f"{evil}:Family"
     write_policy(path, load(AGENT).policies, arrays["codes"], about, "")
     records.write_json(path.with_suffix(".json"), {"sha256": hashlib.sha256(path.read_bytes()).hexdigest()})

@@ -43,7 +43,7 @@ def test_others_read_its_layout_and_its_code_table(finished, exported):
     size = int.from_bytes(content[:8], "little")
     header = json.loads(content[8 : 8 + size])
     assert size % 8 == 0
-    assert set(header["__metadata__"]) == {"format", "about", "card", "sha256"}
+    assert set(header["__metadata__"]) == {"format", "about", "card", "sha256_metadata", "sha256"}
     assert json.loads(header["__metadata__"]["about"])["config"]["network"]["width"] == 16
     begin, end = header["codes"]["data_offsets"]
     codes = np.frombuffer(content[8 + size + begin : 8 + size + end], "<f4").reshape(header["codes"]["shape"])
@@ -74,6 +74,12 @@ def test_one_seed_of_several_is_as_if_trained_alone(finished, tmp_path, capsys):
     assert f"mean return {last['mean_return']:.1f}" in safetensors.read(file)[1]["card"]
     assert main(["export", str(file), str(tmp_path / "again.safetensors"), "--policy", "1"]) == 2
     assert "--policy 1 is out of range: this run has 1 policy, number 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("policy", [-1, 2])
+def test_a_policy_that_a_run_does_not_have_is_named(policy, finished, tmp_path, capsys):
+    assert main(["export", str(finished), str(tmp_path / "a.safetensors"), "--policy", str(policy)]) == 2
+    assert f"--policy {policy} is out of range: this run has 2 policies, numbered from 0" in capsys.readouterr().err
 
 
 def test_every_flipped_bit_is_found(exported):
@@ -124,7 +130,8 @@ def test_code_is_run_only_where_the_user_names_it(exported, finished, tmp_path):
     about["config"]["family"] = f"{evil}:Family"
     records.write_json(step / "about.json", about)
     manifest.write(step)
-    write_policy(tmp_path / "evil.safetensors", policies.policies, np.zeros((2, 2, 3), np.float32), about, "")
+    described = {**about, "collected": 26}
+    write_policy(tmp_path / "evil.safetensors", policies.policies, np.zeros((2, 2, 3), np.float32), described, "")
     for path in (finished, tmp_path / "evil.safetensors"):
         with pytest.raises(UsageError, match=f"to run its code, add --family {evil}:Family"):
             load(path)

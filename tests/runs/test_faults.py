@@ -230,7 +230,7 @@ def test_another_task_set_under_the_same_name(refusal, monkeypatch):
     other = lambda self, text: dataclasses.replace(parse(self, text), params=params)  # noqa: E731
     monkeypatch.setattr(HalfCheetahVel, "parse_task", other)
     said = refusal(MORE)
-    assert "was trained on other tasks: {'name': 'vel-1', 'target': 1.0, 'params': {'velocity': 1.0}} is now" in said
+    assert "was trained on other tasks: {'name': 'vel-1', 'params': {'velocity': 1.0}, 'target': 1.0} is now" in said
 
 
 @pytest.mark.parametrize(
