@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
 from benchmarks import common
-from ear_jax.figures.style import COLOURS, STYLE
+from ear_jax.figures.style import COLOURS, STYLE, save_figure
 from ear_jax.runs import records
 
 Row = dict[str, Any]
@@ -179,7 +179,7 @@ def main() -> None:
         quick = any(row["quick"] for _, rows in panels for row in rows)
         title = "medians and ranges" + (" · quick runs, whose timings mean nothing" if quick else "")
         figure.suptitle(title, fontsize=9)
-        figure.savefig(options.results / "benchmarks.png")
+        save_figure(figure, options.results / "benchmarks.png")
     print(options.results / "benchmarks.png")
 
 

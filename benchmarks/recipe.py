@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from benchmarks.common import RESULTS
-from ear_jax.figures.style import COLOURS, STYLE, legend_below
+from ear_jax.figures.style import COLOURS, STYLE, legend_below, save_figure
 from ear_jax.runs import records
 from experiments.report import documents
 from experiments.report.blocks import Table
@@ -86,7 +86,7 @@ def main(picture: Path = PICTURE) -> None:
         figure = plt.figure(figsize=(9.6, 4.8 * lines), layout="constrained")
         for place, family in enumerate(families, start=1):
             draw(figure.add_subplot(lines, 2, place), [row for row in rows if row["family"] == family])
-        figure.savefig(picture)
+        save_figure(figure, picture)
     print(picture)
 
 

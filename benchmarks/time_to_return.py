@@ -63,9 +63,8 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=common.RESULTS, help="directory of the JSON lines files")
     options = parser.parse_args()
     rows = [row for run in options.runs or sorted(RECORDS.iterdir()) for row in rows_of(run)]
-    options.results.mkdir(parents=True, exist_ok=True)
     path = options.results / "time_to_return.jsonl"
-    path.write_text("".join(json.dumps({"benchmark": "time_to_return", **row}) + "\n" for row in rows))
+    records.write_text(path, "".join(json.dumps({"benchmark": "time_to_return", **row}) + "\n" for row in rows))
     print(path.read_text(), end="")
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 import tempfile
 from dataclasses import dataclass
@@ -105,10 +104,10 @@ def read_evaluation(record: Path, trained: Trained) -> dict[str, Any] | None:
     path = record / "evaluation.json"
     if not path.is_file():
         return None
+    document = records.read_json(path)
     try:
-        document = json.loads(path.read_text())
         evaluated_at, seeds = document["updates"], [entry["seed"] for entry in document["seeds"]]
-    except (ValueError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
     updates = trained.epoch * trained.program.config.sac.updates
     if evaluated_at != updates:

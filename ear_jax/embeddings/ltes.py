@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from ear_jax.errors import RunError, UsageError, unknown
+from ear_jax.files.documents import KEY
+from ear_jax.files.replacing import lock_file
 from ear_jax.runs import records
 
 FILE = "ltes.json"
 NAME = r"[A-Za-z][\w.-]*"
+LARGEST = 1e9  # a number of an LTE; float32 holds its square
 
 
 def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]], policy: str) -> None:
@@ -31,11 +32,14 @@ def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]], poli
     """
     check_name(name)
     entry = {"task": task, "policy": policy, "codes": [list(code) for code in codes]}
-    records.write_json(run / FILE, {**saved(run), name: entry})
+    with lock_file(run / FILE):
+        records.write_json(run / FILE, {**saved(run), name: entry})
 
 
 def check_name(name: str) -> None:
     """Raises UsageError for a name that could be mistaken for a number or an option."""
+    if name == KEY:
+        raise UsageError(f"{name!r} cannot name an LTE: {FILE} uses that name itself")
     if not re.fullmatch(NAME, name):
         raise UsageError(f"{name!r} cannot name an LTE: begin with a letter, then use letters, digits, '.', '-' or '_'")
 
@@ -47,10 +51,24 @@ def saved(run: Path) -> dict[str, Any]:
       RunError: the file cannot be read.
     """
     path = run / FILE
-    try:
-        return json.loads(path.read_text()) if path.exists() else {}
-    except ValueError as error:
-        raise RunError(f"{path} cannot be read: {error}") from None
+    known = records.read_json(path) if path.exists() else {}
+    for name, entry in known.items():
+        if not _is_entry(entry):
+            raise RunError(f"{path} cannot be read: {name!r} is not a task and its LTEs")
+    return known
+
+
+def _is_entry(entry: Any) -> bool:
+    if not (isinstance(entry, dict) and isinstance(entry.get("task"), str) and isinstance(entry.get("codes"), list)):
+        return False
+    return bool(entry["codes"]) and all(isinstance(code, list) and _has_direction(code) for code in entry["codes"])
+
+
+def _has_direction(code: list[Any]) -> bool:
+    """Returns whether a code is of numbers that have a direction also in float32."""
+    if not all(isinstance(number, int | float) and abs(number) <= LARGEST for number in code):
+        return False
+    return any(abs(number) >= 1 / LARGEST for number in code)
 
 
 def find(run: Path, words: Sequence[str], seeds: int, size: int, policy: str) -> list[list[float]]:
@@ -60,15 +78,19 @@ def find(run: Path, words: Sequence[str], seeds: int, size: int, policy: str) ->
       UsageError: an unknown name, an LTE of another policy, or numbers that have no direction.
     """
     if len(words) == 1 and re.fullmatch(NAME, words[0]):
-        return lookup(run, words[0], policy)["codes"]
+        codes = lookup(run, words[0], policy)["codes"]
+        if len(codes) != seeds or any(len(code) != size for code in codes):
+            raise UsageError(f"LTE {words[0]!r} was found for another run: its codes are not {seeds} of {size} numbers")
+        return codes
     try:
         code = [float(word) for word in words]
     except ValueError:
         raise UsageError(f"--lte {' '.join(words)} is neither a name nor {size} numbers") from None
     if len(code) != size:
         raise UsageError(f"--lte has {len(code)} numbers; this run's LTEs have {size}")
-    if not (all(map(math.isfinite, code)) and any(code)):
-        raise UsageError(f"--lte {' '.join(words)} has no direction; its numbers must be finite and not all 0")
+    if not _has_direction(code):
+        given = " ".join(words)
+        raise UsageError(f"--lte {given} has no direction; its numbers must be below {LARGEST:g} and not all 0")
     return [code] * seeds
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import STYLE, legend_below, look
-from ear_jax.runs.records import folder
+from ear_jax.figures.style import STYLE, legend_below, look, save_figure
+from ear_jax.files.replacing import folder
 
 
 def draw_adapt(figures: Path, document: dict[str, Any]) -> list[Path]:
@@ -29,9 +29,7 @@ def draw_adapt(figures: Path, document: dict[str, Any]) -> list[Path]:
                 _draw_task(axes, index, task)
             axes.set(xlabel="epochs of search (0: LTE from a map)", ylabel="return of an episode")
             legend_below(axes, 2)
-            paths.append(figures / f"adaptation_seed{seed}.png")
-            figure.savefig(paths[-1])
-            plt.close(figure)
+            paths.append(save_figure(figure, figures / f"adaptation_seed{seed}.png"))
     return paths
 
 

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE
-from ear_jax.runs.records import folder
+from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.files.replacing import folder
 
 UNITS = {"height": "m", "squared_action": "1", "velocity_x": "m/s", "velocity_y": "m/s"}
 
@@ -43,9 +43,7 @@ def _draw_seed(path: Path, blends: list[dict[str, Any]], document: dict[str, Any
             axes.set(xlabel=_beta_label(document), ylabel=f"{name} ({unit})")
         if document["feet"]:
             _draw_contacts(grid[0, -1], blends, document)
-        figure.savefig(path)
-        plt.close(figure)
-    return path
+        return save_figure(figure, path)
 
 
 def _draw_contacts(axes: Axes, blends: list[dict[str, Any]], document: dict[str, Any]) -> None:

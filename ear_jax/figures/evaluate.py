@@ -9,8 +9,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE
-from ear_jax.runs.records import folder
+from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.files.replacing import folder
 
 
 def draw_evaluate(figures: Path, evaluation: dict[str, Any], rows: list[dict[str, Any]]) -> list[Path]:
@@ -35,9 +35,7 @@ def _draw(path: Path, inches: tuple[float, float], draw: Callable[[Axes], None])
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(figsize=inches)
         draw(axes)
-        figure.savefig(path)
-        plt.close(figure)
-    return path
+        return save_figure(figure, path)
 
 
 def learning_curve(axes: Axes, rows: list[dict[str, Any]]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from ear_jax.figures.map import colours
-from ear_jax.runs.records import write_text
+from ear_jax.files.replacing import write_text
 
 SHADES = 64  # colours on the scale of the map
 

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE, legend_below, look
-from ear_jax.runs.records import folder
+from ear_jax.figures.style import COLOURS, STYLE, legend_below, look, save_figure
+from ear_jax.files.replacing import folder
 
 
 def draw_interpolate(figures: Path, document: dict[str, Any]) -> list[Path]:
@@ -30,9 +30,7 @@ def draw_interpolate(figures: Path, document: dict[str, Any]) -> list[Path]:
             figure, axes = plt.subplots(figsize=(width, 3.2), layout="constrained")
             draw(axes, rows, document)
             axes.set(ylabel=f"{document['commanded']['outcome']} ({document['commanded']['unit']})")
-            paths.append(figures / f"interpolation_seed{seed}.png")
-            figure.savefig(paths[-1])
-            plt.close(figure)
+            paths.append(save_figure(figure, figures / f"interpolation_seed{seed}.png"))
     return paths
 
 

@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE
-from ear_jax.runs.records import folder
+from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.files.replacing import folder
 
 NAMES = {"state": "raw state", "lse": "LSE"}
 
@@ -41,9 +41,7 @@ def _draw_seed(path: Path, entry: dict[str, Any], document: dict[str, Any]) -> P
                 third.plot(signal["period"], signal["autocorrelation_peak"], "o", color=COLOURS[index], markersize=5)
         third.set(xlabel="lag (s)", ylabel="autocorrelation", ylim=(-1.05, 1.05), title=f"task {document['task']}")
         third.legend(frameon=False, loc="lower right")
-        figure.savefig(path)
-        plt.close(figure)
-    return path
+        return save_figure(figure, path)
 
 
 def _draw_path(axes: Axes, signal: dict[str, Any], name: str, dt: float) -> Any:

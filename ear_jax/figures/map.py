@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, Normalize
 
-from ear_jax.figures.style import STYLE
-from ear_jax.runs.records import folder
+from ear_jax.figures.style import STYLE, save_figure
+from ear_jax.files.replacing import folder
 
 VIEWS = ((20.0, 30.0), (20.0, 210.0))  # elevation and azimuth of the two sides of the sphere, degrees
 BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # box behind a label
@@ -63,9 +63,7 @@ def _draw_sphere(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -
             axes.set_axis_off()
         bar = figure.colorbar(points, ax=figure.axes, shrink=0.75, pad=0.02)
         bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
-        figure.savefig(path)
-        plt.close(figure)
-    return path
+        return save_figure(figure, path)
 
 
 def _across(codes: np.ndarray, toward: np.ndarray) -> np.ndarray:
@@ -98,9 +96,7 @@ def _draw_flat(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -> 
         axes.grid(alpha=0.3)
         bar = figure.colorbar(points, ax=axes, shrink=0.85, pad=0.03)
         bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
-        figure.savefig(path)
-        plt.close(figure)
-    return path
+        return save_figure(figure, path)
 
 
 def _angles(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

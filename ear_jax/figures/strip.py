@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Polygon
 
-from ear_jax.figures.style import STYLE
+from ear_jax.figures.style import STYLE, save_figure
 
 FLAG, GROUND = "#D5000F", "#CED2CE"
 LEFT, RIGHT, BELOW = 1.1, 0.15, 0.45  # inches around the panels
@@ -78,7 +77,6 @@ def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str
     """
     (width, height), gap = bounds.inches, 0.06
     wide, tall = LEFT + width + RIGHT, BELOW + len(panels) * (height + gap)
-    scratch = path.with_name(path.name + ".part")
     with plt.rc_context({**STYLE, "axes.grid": False, "savefig.bbox": None}):
         figure = plt.figure(figsize=(wide, tall))
         for row, panel in enumerate(panels):
@@ -87,10 +85,7 @@ def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str
             _draw_panel(axes, panel, bounds)
             axes.tick_params(bottom=row == len(panels) - 1, labelbottom=row == len(panels) - 1)
         axes.set_xlabel(caption)
-        figure.savefig(scratch, format="png", dpi=DPI)
-        plt.close(figure)
-    os.replace(scratch, path)
-    return path
+        return save_figure(figure, path, dpi=DPI)
 
 
 def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:

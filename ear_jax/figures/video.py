@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from matplotlib import font_manager
 from PIL import Image, ImageDraw, ImageFont
 
 from ear_jax.errors import RunError
+from ear_jax.files.replacing import replace_file
 
 GIF_BYTES = 3_000_000  # a larger GIF is written again with every other picture, each shown twice as long
 GIF_COLOURS = 64
@@ -34,12 +34,11 @@ def write_gif(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Pat
     first, *others = (
         Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
     )
-    scratch, hundredths = path.with_name(path.name + ".part"), round(100 * seconds)
-    first.save(scratch, "GIF", save_all=True, append_images=others, duration=10 * hundredths, loop=0, optimize=False)
-    if scratch.stat().st_size > GIF_BYTES and len(pictures) > 2:
-        return write_gif(path, pictures[::2], 2 * seconds)
-    os.replace(scratch, path)
-    return path
+    options = {"append_images": others, "duration": 10 * round(100 * seconds), "loop": 0, "optimize": False}
+    with replace_file(path) as scratch:
+        first.save(scratch, "GIF", save_all=True, **options)
+        small = scratch.stat().st_size <= GIF_BYTES
+    return path if small or len(pictures) <= 2 else write_gif(path, pictures[::2], 2 * seconds)
 
 
 def write_mp4(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Path | None:
@@ -48,13 +47,13 @@ def write_mp4(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Pat
     if program is None:
         return None
     height, width, _ = pictures[0].shape
-    scratch = path.with_name(path.name + ".part")
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{1 / seconds:g}", "-i", "-"]
-    target = ["-pix_fmt", "yuv420p", "-f", "mp4", str(scratch)]
     frames = np.stack(pictures).tobytes()
-    done = subprocess.run([program, "-y", "-loglevel", "error", *source, *target], input=frames, capture_output=True)
-    if done.returncode:
-        scratch.unlink(missing_ok=True)
-        raise RunError(f"ffmpeg cannot write {path}: {done.stderr.decode().strip().splitlines()[-1]}")
-    os.replace(scratch, path)
+    with replace_file(path) as scratch:
+        target = ["-pix_fmt", "yuv420p", "-f", "mp4", f"file:{scratch}"]
+        command = [program, "-y", "-loglevel", "error", *source, *target]
+        done = subprocess.run(command, input=frames, capture_output=True)
+        if done.returncode:
+            reason = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+            raise RunError(f"ffmpeg cannot write {path}: {reason}")
     return path

@@ -7,11 +7,11 @@ writes the cards: training settings, results and the file's SHA-256.
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 from typing import Any
 
 from ear_jax.errors import RunError, unknown
+from ear_jax.files.documents import read_json
 
 PREFIX = "pretrained:"
 FOLDER = Path(__file__).parent
@@ -32,13 +32,10 @@ def card(name: str) -> dict[str, Any]:
     if name not in names():
         raise unknown("pretrained agent", name, names())
     path = FOLDER / f"{name}.json"
-    try:
-        document = json.loads(path.read_bytes())
-        if not isinstance(document["sha256"], str):
-            raise ValueError("'sha256' is not a string")
-        return document
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{path} cannot be read: {error}") from None
+    document = read_json(path)
+    if not isinstance(document.get("sha256"), str):
+        raise RunError(f"{path} cannot be read: 'sha256' is not a string")
+    return document
 
 
 def find(name: str) -> Path:

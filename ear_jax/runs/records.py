@@ -8,65 +8,23 @@ of the process that trains it, and `failure.json` if a metric was not finite.
 
 from __future__ import annotations
 
-import contextlib
 import importlib.metadata
-import json
 import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from ear_jax.errors import RunError, UsageError
+from ear_jax.files.documents import read_json, write_json
+from ear_jax.files.replacing import folder, write_text
+from ear_jax.files.rows import append_rows, read_lines, read_rows
+
+__all__ = ["append_rows", "folder", "read_json", "read_rows", "write_json", "write_text"]  # used as `records.…`
 
 RESULTS = ("experiments/records", "benchmarks/results")  # a checkout's results, whose changes do not mark its commit
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "orbax-checkpoint", "numpy", "gymnasium")
-
-
-def write_json(path: Path, document: Any) -> None:
-    """Writes a JSON document atomically; raises RunError if it cannot be written."""
-    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes a file atomically and creates its directory; raises RunError if it cannot be written."""
-    folder(path.parent)
-    with replacing(path, "x") as file:
-        file.write(text)
-
-
-@contextlib.contextmanager
-def replacing(path: Path, mode: str) -> Iterator[IO[Any]]:
-    """Opens a temporary file that replaces `path` once it is written; links at either name are not followed.
-
-    Args:
-      path: the file to replace.
-      mode: `x` for UTF-8 text, `xb` for bytes.
-
-    Raises:
-      RunError: the file cannot be written; `path` is unchanged.
-    """
-    scratch = path.with_name(path.name + ".part")
-    try:
-        scratch.unlink(missing_ok=True)
-        with scratch.open(mode, encoding=None if "b" in mode else "utf-8") as file:
-            yield file
-        os.replace(scratch, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            scratch.unlink(missing_ok=True)
-        raise RunError(f"cannot write {path}: {error.strerror}") from None
-
-
-def folder(path: Path) -> Path:
-    """Creates a directory and its parents and returns it; raises RunError if that fails."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}") from None
-    return path
 
 
 def read_run(run: Path) -> dict[str, Any]:
@@ -75,46 +33,20 @@ def read_run(run: Path) -> dict[str, Any]:
     if not path.is_file():
         hint = "`ear train` makes one, and `ear pretrained` lists agents that ship"
         raise UsageError(f"{run} is not a run directory: it has no config.json ({hint})")
-    try:
-        document = json.loads(path.read_text())
-        if not isinstance(document["config"], dict):
-            raise ValueError("'config' is not a table of settings")
-        return document
-    except (ValueError, KeyError, TypeError) as error:
-        raise RunError(f"{path} cannot be read: {error}") from None
-
-
-def append_rows(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Appends JSON lines and flushes them to disk (fsync); raises RunError if they cannot be written."""
-    lines = "".join(json.dumps(row, allow_nan=False) + "\n" for row in rows)
-    try:
-        file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o644)
-        with os.fdopen(file, "w") as stream:
-            stream.write(lines)
-            stream.flush()
-            os.fsync(file)
-    except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}") from None
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """Returns all complete rows; lines cut off by a crash are skipped."""
-    if not path.exists():
-        return []
-    rows = []
-    for line in path.read_text(errors="replace").splitlines():
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            continue
-    return rows
+    document = read_json(path)
+    if not isinstance(document.get("config"), dict):
+        raise RunError(f"{path} cannot be read: 'config' is not a table of settings")
+    return document
 
 
 def keep_rows(path: Path, last_epoch: int) -> None:
-    """Removes rows past an epoch, which a continued run writes again, and incomplete lines."""
+    """Removes rows past an epoch, which a continued run writes again, and a last line that is cut off.
+
+    A damaged row is left as it is.
+    """
     if path.exists():
-        kept = [row for row in read_rows(path) if row["epoch"] <= last_epoch]
-        write_text(path, "".join(json.dumps(row) + "\n" for row in kept))
+        lines = read_lines(path, lambda _: None)
+        write_text(path, "".join(line for line, row in lines if row is None or row["epoch"] <= last_epoch))
 
 
 def provenance() -> dict[str, Any]:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ear_jax.errors import RunError
-from ear_jax.runs import records
+from ear_jax.files.replacing import replace_file
 
 DTYPES = {"F32": np.dtype("<f4"), "I32": np.dtype("<i4"), "U32": np.dtype("<u4")}
 NAMES = {dtype: name for name, dtype in DTYPES.items()}
@@ -32,7 +32,7 @@ def write(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str, str]) -
         header[name] = {"dtype": NAMES[array.dtype], "shape": list(array.shape), "data_offsets": [begin, end]}
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)  # aligns the arrays
-    with records.replacing(path, "xb") as file:
+    with replace_file(path) as scratch, scratch.open("wb") as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for array in arrays.values():
             file.write(np.ascontiguousarray(array).tobytes())

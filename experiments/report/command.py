@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import RunError, UsageError
+from ear_jax.files.replacing import write_text
 from ear_jax.presets import preset_config
 from experiments.paper import CHEETAH
 from experiments.report import markdown, page, readme
@@ -58,7 +59,7 @@ def write(index: RunIndex, out: Path) -> Sequence[Path]:
         sections = [comparison(index), *all_sections(index, out), all_runs(index)]
         paths = out / "index.html", out / "tables.md"
         for path, render in zip(paths, (page.page, markdown.document), strict=True):
-            path.write_text(render(TITLE, lead(index), sections), encoding="utf-8")
+            write_text(path, render(TITLE, lead(index), sections))
     except OSError as error:
         raise RunError(f"cannot write the report to {out}: {error.strerror}") from None
     return paths

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ear_jax.errors import RunError
+from ear_jax.files.replacing import write_text
 
 
 def put(path: Path, name: str, content: str) -> None:
@@ -15,9 +16,9 @@ def put(path: Path, name: str, content: str) -> None:
     """
     try:
         before, _, after = _split(path, name)
-        path.write_text(f"{before}\n\n{content.strip()}\n\n{after}", encoding="utf-8")
     except OSError as error:
-        raise RunError(f"cannot write {path}: {error.strerror}") from None
+        raise RunError(f"cannot read {path}: {error.strerror}") from None
+    write_text(path, f"{before}\n\n{content.strip()}\n\n{after}")
 
 
 def read(path: Path, name: str) -> str:

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ear_jax.figures.style import STYLE, legend_below, look
+from ear_jax.figures.style import STYLE, legend_below, look, save_figure
+from ear_jax.files.replacing import folder
 from experiments.report.run_index import Run
 
 Lines = dict[str, list[Run]]  # runs by the label of their line
@@ -28,10 +29,8 @@ def draw_panels(path: Path, panels: Sequence[Callable[[Axes], None]]) -> Path:
             draw(axes)
         for axes in grid.flat[len(panels) :]:
             axes.set_axis_off()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path)
-        plt.close(figure)
-    return path
+        folder(path.parent)
+        return save_figure(figure, path)
 
 
 def training_curves(axes: Axes, title: str, lines: Lines, reference: tuple[str, float] | None = None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,6 +12,7 @@ from ear_jax.embeddings.search import Search
 from ear_jax.figures.compose import draw_compose
 from ear_jax.figures.lse import draw_lse
 from ear_jax.figures.map import draw_map
+from ear_jax.files.replacing import copy_file, folder
 from ear_jax.presets import preset_config
 from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis
 from experiments.report.blocks import Block, Picture, Table
@@ -110,7 +110,7 @@ def _drawn(runs: list[Run], name: str, caption: str, draw: Callable[[Path, Any],
     for run in runs:
         document = run.document(name)
         if document:
-            (out / FOLDER).mkdir(parents=True, exist_ok=True)
+            folder(out / FOLDER)
             of_this_seed = {**document, "seeds": run.of_seed(name, "seeds")}
             files = draw(out / FOLDER, of_this_seed)
             blocks += [Picture(f"{FOLDER}/{path.name}", f"{caption}, seed {run.seed}.") for path in files]
@@ -129,9 +129,9 @@ def _strips(runs: list[Run], analysis: Analysis, out: Path) -> list[Block]:
     for run in runs:
         document, kept = run.document(analysis.name), run.directory / f"{analysis.name}.png"
         if document and kept.is_file():
-            (out / FOLDER).mkdir(parents=True, exist_ok=True)
+            folder(out / FOLDER)
             file = f"{FOLDER}/{run.name}-{kept.name}"
-            shutil.copyfile(kept, out / file)
+            copy_file(kept, out / file)
             blocks.append(Picture(file, f"{_describe(document)}, seed {run.seed}."))
     return blocks
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from ear_jax.config import Config, flat, from_dict
-from ear_jax.errors import RunError, UsageError
+from ear_jax.errors import UsageError
 from ear_jax.presets import VARIANTS, preset_config
 from ear_jax.runs import records
 from experiments import inventory
@@ -79,7 +78,7 @@ class Run:
         path = self.directory / f"{name}.json"
         if not path.is_file():
             return None
-        return _read(path)
+        return records.read_json(path)
 
     def of_seed(self, name: str, key: str) -> list[dict[str, Any]]:
         """Returns the entries of an analysis under a key that belong to this seed; empty without the analysis."""
@@ -151,10 +150,3 @@ def _rank(run: Run) -> tuple[bool, int]:
 def _other_tasks(run: Run) -> bool:
     """Returns True if a run has other tasks or another reward than its preset, so that returns do not compare."""
     return any(name == "tasks" or name.startswith("env.") for name in run.changes)
-
-
-def _read(path: Any) -> dict[str, Any]:
-    try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise RunError(f"{path} cannot be read: {error}") from None

@@ -16,6 +16,7 @@ ORDER = (
     "config",
     "limits",
     "tasks",
+    "files",
     "process",
     "physics",
     "envs",

@@ -1,0 +1,75 @@
+"""Files of JSON lines that only grow, such as `metrics.jsonl`: every row has a checksum of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ear_jax.errors import RunError
+from ear_jax.files.documents import KEY, parse, signed, verified
+
+
+def append_rows(path: Path, rows: list[dict[str, Any]]) -> str:
+    """Appends JSON lines, flushes them to disk (fsync) and returns them; raises RunError if they cannot be written."""
+    lines = "".join(json.dumps(signed(row), allow_nan=False) + "\n" for row in rows)
+    try:
+        file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        with os.fdopen(file, "w", encoding="utf-8") as stream:
+            stream.write(lines)
+            stream.flush()
+            os.fsync(file)
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}") from None
+    return lines
+
+
+def read_rows(path: Path, warn: Callable[[str], None] | None = None) -> list[dict[str, Any]]:
+    """Returns all rows, without their checksums; a last line that is cut off is skipped.
+
+    Args:
+      path: the file; a missing one has no rows.
+      warn: called with a line for each damaged row, which is then skipped.
+
+    Raises:
+      RunError: the file cannot be read, or a row is damaged and `warn` is not given.
+    """
+    return [row for _, row in read_lines(path, warn) if row is not None]
+
+
+def read_lines(path: Path, warn: Callable[[str], None] | None = None) -> Iterator[tuple[str, dict[str, Any] | None]]:
+    """Yields each line, with its end, and its row, None for a damaged one; arguments and errors as of `read_rows`."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {error.strerror}") from None
+    lines = text.split("\n")  # and not at other characters that end a line, which a flipped bit may make
+    checked = False
+    for number, line in enumerate(lines, start=1):
+        if number == len(lines) and _is_cut_off(line):
+            continue
+        try:
+            document = parse(line)
+            if checked and KEY not in document:
+                raise ValueError("it has no checksum")
+            row, checked = verified(document), KEY in document
+            yield line + "\n", row
+        except ValueError as error:
+            fault = f"{path} is damaged: line {number}: {error}"
+            if warn is None:
+                raise RunError(fault) from None
+            warn(f"warning: {fault}; it is skipped")
+            yield line + "\n", None
+
+
+def _is_cut_off(line: str) -> bool:
+    """Returns whether the rest of a file after its last complete line is empty, or the beginning of a row."""
+    try:
+        json.JSONDecoder().raw_decode(line)
+    except (ValueError, RecursionError):
+        return True
+    return False
