@@ -1,4 +1,7 @@
-"""Presets: changes to the defaults of `config.py`, to which families and methods add their own."""
+"""Presets: changes to the defaults of `config.py`, to which families and methods add their own.
+
+Families and methods are imported when a preset is asked for theirs, so that its name alone can be checked without JAX.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ear_jax.config import Config, flag, flat, flat_tree, from_dict
-from ear_jax.envs.registry import family_presets
-from ear_jax.errors import UsageError, unknown
-from ear_jax.methods import find_method
+from ear_jax.errors import UsageError, known_name
 
 # The defaults are the paper's for HalfCheetah-Vel.
 _FAST: dict[str, Any] = {
@@ -60,6 +61,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
 
 def check_effect(config: Config) -> None:
     """Raises UsageError for a setting that was changed from the preset's although the agent does not read it."""
+    from ear_jax.methods import find_method
+
     method = find_method(config.agent)
     preset = flat(preset_config(config.family, config.preset, config.agent))
     for name, value in flat(config).items():
@@ -78,20 +81,34 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
     Raises:
       UsageError: the preset, a variant or the agent is unknown, or a variant changes a setting the agent does not read.
     """
-    base, *variants = preset.split("+")
-    if base not in PRESETS:
-        raise unknown("preset", base, PRESETS)
+    from ear_jax.envs.registry import family_presets
+    from ear_jax.methods import find_method
+
+    base, variants = parts(preset)
     method = find_method(agent)
     changes = _merge(PRESETS[base], family_presets(family).get(base, {}))
     changes = _merge(changes, method.presets.get(base, {}))
     for variant in variants:
-        if variant not in VARIANTS:
-            raise unknown("preset variant", variant, VARIANTS)
         for name in flat_tree(VARIANTS[variant]):
             if not method.reads(name):
                 raise UsageError(f"agent {agent!r} has no use for {flag(name)}, which --preset {preset} sets")
         changes = _merge(changes, VARIANTS[variant])
     return from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+
+
+def draft_config(family: str, preset: str, agent: str = "ear") -> Config:
+    """Returns the configuration of a preset without the changes of family and agent; raises UsageError as `parts`."""
+    base, variants = parts(preset)
+    changes = PRESETS[base]
+    for variant in variants:
+        changes = _merge(changes, VARIANTS[variant])
+    return from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+
+
+def parts(preset: str) -> tuple[str, list[str]]:
+    """Splits the name of a preset into its base and variants; raises UsageError if there is no such base or variant."""
+    base, *variants = preset.split("+")
+    return known_name("preset", base, PRESETS), [known_name("preset variant", one, VARIANTS) for one in variants]
 
 
 def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, Any
-
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result
+from ear_jax.cli.results import keep, plain, print_result, print_table
 from ear_jax.embeddings import ltes
-from ear_jax.embeddings.adapt import adapt
-from ear_jax.embeddings.search import Search, episodes_an_epoch
-from ear_jax.envs import find_task
 from ear_jax.errors import UsageError
-from ear_jax.figures.adapt import draw_adapt
 from ear_jax.process.terminal import phase
-from ear_jax.runs.trained import Trained
-from ear_jax.tasks import TaskSet, task_set
+
+if TYPE_CHECKING:
+    from ear_jax.embeddings.search import Search
+    from ear_jax.runs.trained import Trained
+    from ear_jax.tasks import TaskSet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +48,12 @@ def main(words: list[str]) -> None:
     command = parse(AdaptCommand, words, "adapt")
     _check(command)
     trained = command.load()
+    from ear_jax.embeddings.adapt import adapt
+    from ear_jax.embeddings.search import Search, episodes_an_epoch
+    from ear_jax.envs import find_task
+    from ear_jax.figures.adapt import draw_adapt
+    from ear_jax.tasks import task_set
+
     family = trained.program.family
     named = [find_task(family, text) for text in command.target]
     tasks = task_set(named) if named else family.adaptation_tasks(command.seed)
@@ -92,7 +94,7 @@ def _check_for(trained: Trained, command: AdaptCommand, search: Search, tasks: T
         raise UsageError(f"--zero-shot needs tasks with a target {family.commanded}; {untargeted[0]} has none")
     if command.save is not None:
         _check_save(command.save, trained)
-    if trained.program.agent.finds_codes and search != Search(search.epochs):
+    if trained.program.agent.finds_codes and search != type(search)(search.epochs):
         raise UsageError(f"--elites, --samples and --sigma set up the cross-entropy method, which {agent} does not use")
 
 
@@ -100,6 +102,8 @@ def _check_save(name: str, trained: Trained) -> None:
     """Raises UsageError for a name that would hide a task, and for an agent without LTEs."""
     if trained.program.agent.tuned:
         raise UsageError(f"--save {name}: {trained.program.config.agent} has no LTEs to save")
+    from ear_jax.envs import find_task
+
     try:
         task = find_task(trained.program.family, name).name
     except UsageError:
@@ -111,15 +115,14 @@ def _print(document: dict[str, Any], unit: str) -> None:
     """Prints one row per task and seed, the meaning of the columns, and the LTEs."""
     tasks, searched = document["tasks"], bool(document["env_steps"])
     title = f"{document['env_steps']:,} env steps of search, {document['seconds']:.0f} s" if searched else None
-    table = Table(title=title, title_justify="left")
-    table.add_column("task", no_wrap=True)
-    for heading in (*(("1st best", "3rd", "last", "fresh", unit) if searched else ()), "map", unit):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = (*(("1st best>", "3rd>", "last>", "fresh>", f"{unit}>") if searched else ()), "map>", f"{unit}>")
     several = len({task["seed"] for task in tasks}) > 1
     names = [f"{task['name']} seed {task['seed']}" if several else task["name"] for task in tasks]
-    for name, task in zip(names, tasks, strict=True):
-        table.add_row(name, *(_of_search(task["epochs"]) if searched else ()), *_of_map(task["zero_shot"]))
-    Console(highlight=False).print(table)
+    rows = [
+        (name, *(_of_search(task["epochs"]) if searched else ()), *_of_map(task["zero_shot"]))
+        for name, task in zip(names, tasks, strict=True)
+    ]
+    print_table(("task", *headings), rows, title)
     if searched:
         print("1st best, 3rd, last: highest return among the candidates of that epoch")
         print("fresh: the last one's return in fresh episodes, and what it achieved")
@@ -128,10 +131,10 @@ def _print(document: dict[str, Any], unit: str) -> None:
         print(f"the map took {document['map_env_steps']:,} env steps")
         for name, task in zip(names, tasks, strict=True):
             if task["target"] is not None and not task["zero_shot"]:
-                print(f"no LTE on the map comes near {name}")
+                print(f"no LTE on the map comes near {plain(name)}")
     for name, task in zip(names, tasks, strict=True):
         if task["lte"]:
-            print(f"LTE for {name}: " + " ".join(f"{number:.4f}" for number in task["lte"]))
+            print(f"LTE for {plain(name)}: " + " ".join(f"{number:.4f}" for number in task["lte"]))
 
 
 def _of_search(epochs: list[dict[str, float]]) -> list[str]:

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import inspect
 import io
 import math
+import os
+import re
 from itertools import groupby
+from pathlib import Path
 from typing import Any, TypeVar
 
 import tyro
 
+from ear_jax.cli.flags import Flag, flags_of, near_flags
 from ear_jax.errors import UsageError
 
 Parsed = TypeVar("Parsed")
+HELP = ("-h", "--help")
 
 
 def parse(
     kind: type[Parsed], words: list[str], command: str, default: Parsed | None = None, program: str = "ear"
 ) -> Parsed:
-    """Parses a command line into a `kind`.
+    """Parses a command line into a `kind`; a path that begins with `~` begins with the user's home.
 
     Args:
       kind: a dataclass; nested ones become `--group.setting`.
@@ -32,15 +39,26 @@ def parse(
     """
     complaint = io.StringIO()
     words = [word.capitalize() if word in ("true", "false") else word for word in words]
+    flags = flags_of(kind)
+    more = f"(`{program} {command} --help` lists the options)"
+    _check_flags(words, flags, more)
     config = (tyro.conf.FlagCreatePairsOff,)
     arguments: dict[str, Any] = {} if default is None else {"default": default}
     try:
         with contextlib.redirect_stderr(complaint):
-            return tyro.cli(kind, args=words, prog=f"{program} {command}", config=config, **arguments)
+            parsed = tyro.cli(
+                kind,
+                args=words,
+                prog=f"{program} {command}",
+                description=inspect.getdoc(kind),
+                config=config,
+                **arguments,
+            )
     except SystemExit as stop:
         if not stop.code:  # --help
             raise
-        raise UsageError(_one_line(complaint.getvalue(), f"{program} {command}")) from None
+        raise UsageError(f"{_reason(complaint.getvalue(), words, flags)} {more}") from None
+    return _at_home(parsed)
 
 
 def option(metavar: str, default: str = "none") -> Any:
@@ -61,13 +79,63 @@ def check_least(command: Any, **least: int) -> None:
             raise UsageError(f"--{name} {value} is too small; it must be at least {limit}")
 
 
-def _one_line(box: str, command: str) -> str:
-    """Extracts the first paragraph below the title of tyro's error box, and the first setting that it suggests."""
+def _check_flags(words: list[str], flags: dict[str, Flag], more: str) -> None:
+    """Raises UsageError for the first word that looks like a flag and is none."""
+    for word in words:
+        name = word.partition("=")[0].replace("_", "-")
+        if not word.startswith("--") or name in flags or name in HELP:
+            continue
+        raise UsageError(f"unknown option {word.partition('=')[0]}{_meant(name, flags)} {more}")
+
+
+def _meant(word: str, flags: dict[str, Flag]) -> str:
+    """Returns the question that suggests the flags near a word."""
+    near = " or ".join(near_flags(word, flags))
+    return f"; did you mean {near}?" if near else ""
+
+
+def _reason(box: str, words: list[str], flags: dict[str, Flag]) -> str:
+    """Returns the mistake that tyro's error box reports, in words."""
     # A terminal that cannot show the frame gets other characters, or blanks.
     lines = [line.strip("│|╭╮╰╯─ ") for line in box.splitlines()]
     paragraphs = [list(group) for text, group in groupby(lines[1:], lambda line: line.strip("-") != "") if text]
-    message = " ".join(paragraphs[0])
-    if "Perhaps you meant:" in lines:
-        near = lines[lines.index("Perhaps you meant:") + 1].split()[0].split(",")[0]
-        message += f"; did you mean {near}?"
-    return f"{message} (`{command} --help` lists the options)"
+    message = " ".join(paragraphs[0]) if paragraphs else "the command line cannot be read"
+    if stray := re.match(r"Unrecognized options: ([^\s,]+)", message):
+        if stray[1].startswith("-"):
+            return f"unknown option {stray[1]}{_meant(stray[1], flags)}"
+        return f"{stray[1]!r} is one word too many"
+    if missing := re.match(r"Missing from .*?: (\S+(?: [A-Z])*) ([A-Z][a-z].*?)\.? \(required\)", message):
+        return f"{missing[1]} is missing: {missing[2][0].lower()}{missing[2][1:]}"
+    named = [flags[name] for name in re.findall(r"--[\w.-]*\w", message) if name in flags]
+    if named:
+        given = " ".join(_values(words, named[0].name))
+        return (
+            f"{named[0].name} takes {named[0].takes}, not {given!r}"
+            if given
+            else f"{named[0].name} needs {named[0].takes}"
+        )
+    return message
+
+
+def _values(words: list[str], flag: str) -> list[str]:
+    """Returns the words given to a flag when it was given last."""
+    values: list[str] = []
+    taking = False
+    for word in words:
+        name, equals, value = word.partition("=")
+        if word.startswith("--"):
+            taking = name.replace("_", "-") == flag
+            values = ([value] if equals else []) if taking else values
+        elif taking:
+            values.append(word)
+    return values
+
+
+def _at_home(parsed: Parsed) -> Parsed:
+    """Returns a command with `~` replaced in its paths, as a shell does not do it in `--out=~/run`."""
+    paths = {
+        field.name: Path(os.path.expanduser(value))
+        for field in dataclasses.fields(parsed)  # type: ignore[arg-type]
+        if isinstance(value := getattr(parsed, field.name), Path) and str(value).startswith("~")
+    }
+    return dataclasses.replace(parsed, **paths) if paths else parsed  # type: ignore[type-var]

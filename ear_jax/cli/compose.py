@@ -6,17 +6,14 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from ear_jax.cli.arguments import check_finite, check_least, parse
-from ear_jax.cli.interpolate import find_end
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result
-from ear_jax.embeddings.compose import BETAS, compose
+from ear_jax.cli.results import keep, print_result, print_table
 from ear_jax.errors import UsageError
-from ear_jax.figures.compose import draw_compose
 from ear_jax.process.terminal import phase
+
+BETAS = tuple(round(0.1 * step, 1) for step in range(10, -1, -1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +35,10 @@ def main(words: list[str]) -> None:
         raise UsageError("--beta needs at least one number, as in --beta 1 0.5 0")
     check_finite("--beta", *command.beta)
     trained = command.load()
+    from ear_jax.cli.ends import find_end
+    from ear_jax.embeddings.compose import compose
+    from ear_jax.figures.compose import draw_compose
+
     first, second = (find_end(trained, word) for word in command.between)
     if first.name == second.name:
         raise UsageError(f"--between {' '.join(command.between)} names one task twice")
@@ -50,13 +51,13 @@ def main(words: list[str]) -> None:
 def _print(document: dict[str, Any]) -> None:
     """Prints one row per seed and blend."""
     names = list(document["seeds"][0]["blends"][0]["outcome"])
-    table = Table(title=f"{document['between'][0]} (β = 1) to {document['between'][1]} (β = 0)", title_justify="left")
-    for heading in ("seed", "β", *names, *(f"{foot} foot down" for foot in document["feet"]), "steps"):
-        table.add_column(heading, justify="right")
+    headings = ("seed>", "β>", *(f"{name}>" for name in (*names, *(f"{foot} foot down" for foot in document["feet"]))))
+    rows = []
     for entry in document["seeds"]:
         for blend in entry["blends"]:
             outcomes = (f"{blend['outcome'][name]:.2f}" for name in names)
             feet = (f"{blend['contact'][foot]:.0%}" for foot in document["feet"])
             steps = f"{blend['length']}, fell" if blend["fell"] else str(blend["length"])
-            table.add_row(str(entry["seed"]), f"{blend['beta']:g}", *outcomes, *feet, steps)
-    Console(highlight=False).print(table)
+            rows.append((str(entry["seed"]), f"{blend['beta']:g}", *outcomes, *feet, steps))
+    title = f"{document['between'][0]} (β = 1) to {document['between'][1]} (β = 0)"
+    print_table((*headings, "steps>"), rows, title)

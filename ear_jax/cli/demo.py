@@ -3,38 +3,26 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
-import numpy as np
-from rich.console import Console
-from rich.table import Table
-
 from ear_jax import pretrained
 from ear_jax.cli.arguments import option, parse
+from ear_jax.cli.closing import say_next
 from ear_jax.cli.evaluate import keep_evaluation, print_evaluation
-from ear_jax.cli.results import print_pictures
-from ear_jax.embeddings.evaluate import evaluate
-from ear_jax.embeddings.interpolate import Pair, adjacent_pairs, blend_codes, interpolate, play_blends, trained_ends
-from ear_jax.embeddings.trajectory import follow
-from ear_jax.errors import RunError, UsageError
-from ear_jax.figures.strip import draw_strip
-from ear_jax.presets import preset_config
-from ear_jax.process.runtime import enable_cache
-from ear_jax.process.terminal import phase, say
-from ear_jax.rendering.film import arrange, photograph
-from ear_jax.runs import records
-from ear_jax.runs.loop import train_run
-from ear_jax.runs.trained import Trained, load, policy_of
+from ear_jax.cli.on_run import load_run
+from ear_jax.cli.results import print_pictures, print_table
+from ear_jax.errors import UsageError
+from ear_jax.process.environment import start_jax
+from ear_jax.process.terminal import phase, sign_of_life
+from ear_jax.runs.directory import check_place
 
 FAMILY = "halfcheetah-vel"
 OUT = Path("runs/demo")
 EPISODES = 10
-SEARCH_EPISODES = 3  # per blend while the best is searched
 SEED = 1  # of the starts in the evaluation
-SECONDS = 5.0  # length of a roll-out in the picture, unless an episode is shorter
 
 
 @dataclass(frozen=True)
@@ -51,7 +39,6 @@ class DemoCommand:
 
 def main(words: list[str]) -> None:
     command = parse(DemoCommand, words, "demo")
-    enable_cache()
     if command.pretrained is None:
         _train(command)
         return
@@ -61,7 +48,10 @@ def main(words: list[str]) -> None:
     if command.out != OUT:
         raise UsageError("--out applies only to training; --pretrained writes to runs/pretrained-NAME")
     name = (command.pretrained or (default_agent(),))[0].removeprefix(pretrained.PREFIX)
-    document = show(load(Path(pretrained.PREFIX + name)), pretrained.card(name))
+    trained = load_run(Path(pretrained.PREFIX + name), None, None)
+    from ear_jax.cli.showing import show
+
+    document = show(trained, pretrained.card(name))
     if command.json:
         print(json.dumps(document))
     else:
@@ -69,22 +59,35 @@ def main(words: list[str]) -> None:
 
 
 def _train(command: DemoCommand) -> None:
+    check_place(command.out)
+    with sign_of_life("loading"):
+        start_jax()
+        from ear_jax.cli.showing import draw_tasks
+        from ear_jax.embeddings.evaluate import evaluate
+        from ear_jax.presets import preset_config
+        from ear_jax.runs.loop import train_run
+
     train_run(preset_config(FAMILY, "smoke"), command.out)
-    evaluation = evaluate(load(command.out), EPISODES, SEED)
-    pictures = keep_evaluation(command.out, evaluation)
+    trained = load_run(command.out, None, None)
+    with phase(f"playing {EPISODES} episodes of each task"):
+        evaluation = evaluate(trained, EPISODES, SEED)
+    pictures = [*keep_evaluation(command.out, evaluation), draw_tasks(trained, evaluation)]
     tasks = [task for seed in evaluation["seeds"] for task in seed["tasks"]]
-    error = float(np.mean([abs(speed - task["target"]) for task in tasks for speed in task["episodes"]["velocity"]]))
+    errors = [abs(speed - task["target"]) for task in tasks for speed in task["episodes"]["velocity"]]
+    error = sum(errors) / len(errors)
     if command.json:
         print(json.dumps({**evaluation, "mean_absolute_error": error, "figures": [str(path) for path in pictures]}))
         return
     print_evaluation(evaluation)
     print(f"mean error |achieved − commanded| over {EPISODES} fresh episodes per task: {error:.2f} m/s")
     print_pictures(pictures)
-    _say_next(
-        (f"ear interpolate {command.out} --between 1 2 --target 1.5", "a speed it was never trained on"),
-        (f"ear adapt {command.out} --target 2.5", "another one, by search"),
-        (f"ear train {FAMILY} --tasks 1 3 5", "speeds of your own"),
-        (f"ear train {FAMILY}", "the ten speeds of the paper"),
+    print(f"{pictures[-1]} shows the robot at each speed")
+    run = shlex.quote(str(command.out))
+    say_next(
+        (f"interpolate {run} --between 1 2 --target 1.5", "a speed it was never trained on"),
+        (f"render {run} --task 1 2 3", "films of the robot"),
+        (f"adapt {run} --target 2.5", "another speed, by search"),
+        (f"train {FAMILY}", "the ten speeds of the paper"),
     )
 
 
@@ -94,101 +97,20 @@ def default_agent() -> str:
     return FAMILY if FAMILY in names else next(iter(names), FAMILY)
 
 
-def show(trained: Trained, card: dict[str, Any]) -> dict[str, Any]:
-    """Blends two neighbouring tasks of a pretrained agent, plays them and the blend, and draws all three.
-
-    Args:
-      trained: the agent.
-      card: its card, from which the two tasks are chosen.
-
-    Returns:
-      The document that `ear demo --pretrained --json` prints; `achieved` is the mean of fresh episodes, not of those
-      that the blend was chosen by.
-
-    Raises:
-      UsageError: it does not have two tasks with targets.
-      RunError: the picture cannot be written.
-    """
-    family = trained.program.family
-    pair = best_pair(adjacent_pairs(trained_ends(trained), family), card)
-    figures = records.folder(trained.directory / "figures")
-    with phase(f"searching for the best blend of {pair[0].name} and {pair[1].name}"):
-        best = interpolate(trained, [pair], None, SEARCH_EPISODES, seed=0)["pairs"][0]
-    betas = (1.0, best["beta"], 0.0)
-    with phase("playing both tasks and the blend in fresh episodes"):
-        achieved = play_blends(trained, [pair], betas, EPISODES, SEED)[0, 0]
-    names = [pair[0].name, f"β = {best['beta']:g}", pair[1].name]
-    commanded = [pair[0].target, best["target"], pair[1].target]
-    labels = [f"{name}\n{value:z.2f} {family.unit}" for name, value in zip(names, achieved, strict=True)]
-    with phase("drawing"):
-        picture = _draw(figures / "demo.png", trained, pair, betas, labels)
-    return {
-        "run": trained.name,
-        "between": best["between"],
-        "commanded": family.quantity,
-        "episodes": EPISODES,
-        "rows": [
-            {"name": name, "beta": beta, "commanded": target, "achieved": float(value)}
-            for name, beta, target, value in zip(names, betas, commanded, achieved, strict=True)
-        ],
-        "figures": [str(picture)],
-    }
-
-
-def best_pair(pairs: list[Pair], card: dict[str, Any]) -> Pair:
-    """Returns the pair whose larger error on the card is smallest, or the first pair if the card has no evaluation.
-
-    A task that the agent does not meet counts as infinitely far off.
-
-    Raises:
-      UsageError: there are no pairs.
-    """
-    if not pairs:
-        other = f"`ear render pretrained:{card['name']} --task X` shows one task"
-        raise UsageError(f"{card['name']} has no two tasks to blend; {other}")
-    errors = {task["name"]: task["error"] for task in card["tasks"] if task.get("met")}
-    return min(pairs, key=lambda pair: max(errors.get(end.name, float("inf")) for end in pair))
-
-
-def _draw(path: Path, trained: Trained, pair: Pair, betas: tuple[float, ...], labels: list[str]) -> Path:
-    """Draws the strip of the ends and the blend; without OpenGL as stick figures."""
-    program, family = trained.program, trained.program.family
-    codes = blend_codes(program.agent, pair[0].codes[0], pair[1].codes[0], betas)
-    steps = min(family.episode_length, round(SECONDS / family.dt))
-    trajectories = follow(program, policy_of(trained, 0), codes, steps, jax.random.key(SEED))
-    strip = arrange(family.portrait(), trajectories, labels, family.dt)
-    try:
-        panels = photograph(strip)
-    except RunError:
-        panels = strip.panels
-    return draw_strip(path, panels, strip.bounds, strip.caption)
-
-
 def _print(document: dict[str, Any]) -> None:
     run, unit = document["run"], document["commanded"]["unit"]
     first, middle, second = document["rows"]
-    table = Table(title=run, title_justify="left")
-    for heading in ("", f"commanded ({unit})", f"achieved ({unit})"):
-        table.add_column(heading, justify="right" if heading else "left")
-    for row in document["rows"]:
-        table.add_row(row["name"], f"{row['commanded']:.2f}", f"{row['achieved']:.2f}")
-    Console(highlight=False).print(table)
+    rows = [(row["name"], f"{row['commanded']:.2f}", f"{row['achieved']:.2f}") for row in document["rows"]]
+    print_table(("task", f"commanded ({unit})>", f"achieved ({unit})>"), rows, run)
     print(
         f"{middle['name']} blends the task embeddings (LTEs) of the two tasks; "
         f"the agent was never trained for {middle['commanded']:.4g} {unit}."
     )
     print(f"picture: {document['figures'][0]}")
     between = f"{first['name']} {second['name']}"
-    _say_next(
-        (f"ear interpolate {run} --all-pairs", "midway between all neighbouring tasks"),
-        (f"ear render {run} --interpolate {between}", "films, and more blends"),
-        (f"ear map {run}", "what the robot does under every LTE"),
-        ("ear pretrained", "other agents, and the tasks they meet"),
+    say_next(
+        (f"interpolate {run} --all-pairs", "midway between all neighbouring tasks"),
+        (f"render {run} --interpolate {between}", "films, and more blends"),
+        (f"map {run}", "what the robot does under every LTE"),
+        ("pretrained", "other agents, and the tasks they meet"),
     )
-
-
-def _say_next(*examples: tuple[str, str]) -> None:
-    """Suggests commands to try next, each with its purpose."""
-    say("\nNext:")
-    for example, purpose in examples:
-        say(f"  {example:<60} {purpose}")

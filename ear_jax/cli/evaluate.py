@@ -8,16 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax.numpy as jnp
-from rich.console import Console
-from rich.table import Table
-
 from ear_jax.cli.arguments import check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep
+from ear_jax.cli.results import keep, plain, print_table
 from ear_jax.embeddings import ltes
-from ear_jax.embeddings.evaluate import evaluate, evaluate_code
-from ear_jax.figures.evaluate import draw_evaluate
+from ear_jax.process.terminal import phase
 from ear_jax.runs import records
 
 
@@ -35,12 +30,18 @@ def main(words: list[str]) -> None:
     command = parse(EvaluateCommand, words, "evaluate")
     check_least(command, episodes=1)
     trained = command.load()
+    import jax.numpy as jnp
+
+    from ear_jax.embeddings.evaluate import evaluate, evaluate_code
+
     if command.lte:
         seeds, size = trained.program.config.seeds, trained.program.agent.code_size
         codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size, trained.fingerprint))
-        document = evaluate_code(trained, codes, command.episodes, command.seed)
+        with phase(f"playing {command.episodes} episodes"):
+            document = evaluate_code(trained, codes, command.episodes, command.seed)
     else:
-        document = evaluate(trained, command.episodes, command.seed)
+        with phase(f"playing {command.episodes} episodes of {len(trained.program.tasks)} tasks"):
+            document = evaluate(trained, command.episodes, command.seed)
         keep_evaluation(trained.directory, document)
     if command.json:
         print(json.dumps(document))
@@ -61,24 +62,23 @@ def _print_code(document: dict[str, Any]) -> None:
 
 def keep_evaluation(run: Path, evaluation: dict[str, Any]) -> list[Path]:
     """Writes an evaluation into its run's directory and draws the run's figures; returns their paths."""
+    from ear_jax.figures.evaluate import draw_evaluate  # matplotlib takes a second to import
+
     rows = records.read_rows(run / "metrics.jsonl")
     return keep(run, "evaluation.json", evaluation, partial(draw_evaluate, rows=rows))
 
 
 def print_evaluation(evaluation: dict[str, Any]) -> None:
     """Prints a table of the tasks, with one number per seed, and the falls."""
-    commanded = evaluation["commanded"]
-    table = Table(title=f"{evaluation['run']}: mean return {evaluation['mean_return']:.1f}", title_justify="left")
-    for heading in ("task", f"{commanded['outcome']} ({commanded['unit']})", "return", "falls"):
-        table.add_column(heading, justify="left" if heading == "task" else "right")
+    commanded, rows = evaluation["commanded"], []
     for tasks in zip(*(seed["tasks"] for seed in evaluation["seeds"]), strict=True):
         achieved = " / ".join(f"{task['outcome'][commanded['outcome']]:.2f}" for task in tasks)
         returns = " / ".join(f"{task['return_mean']:.1f}" for task in tasks)
         failures = " / ".join(str(task["failures"]) for task in tasks)
-        table.add_row(tasks[0]["name"], achieved, returns, failures)
-    console = Console(highlight=False)
-    console.print(table)
-    console.print(falls(evaluation))
+        rows.append((tasks[0]["name"], achieved, returns, failures))
+    headings = ("task", f"{commanded['outcome']} ({commanded['unit']})>", "return>", "falls>")
+    print_table(headings, rows, f"{evaluation['run']}: mean return {evaluation['mean_return']:.1f}")
+    print(plain(falls(evaluation)))
 
 
 def falls(evaluation: dict[str, Any]) -> str:

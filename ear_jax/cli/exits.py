@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
 
-from ear_jax.errors import RunError, UsageError
+from ear_jax.errors import RunError, UsageError, user_fault
 from ear_jax.process.stopping import Stopped
+from ear_jax.process.streams import flush_results, open_streams
 
 
 def exit_code(program: str, command: Callable[[], None]) -> int:
@@ -16,22 +16,37 @@ def exit_code(program: str, command: Callable[[], None]) -> int:
     Returns:
       0, 1 (failed), 2 (usage), or 130 or 143 (stopped by a signal, with its state saved).
     """
+    open_streams()
+    code = _code_of(program, command)
+    unwritten = flush_results()
+    if unwritten and not code:
+        print(f"{program}: cannot write to standard output: {unwritten}", file=sys.stderr)
+    return code if unwritten is None else code or 1
+
+
+def _code_of(program: str, command: Callable[[], None]) -> int:
     try:
         command()
-        sys.stdout.flush()
         return 0
     except (UsageError, RunError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
+        return _report(program, str(error), 2 if isinstance(error, UsageError) else 1)
     except KeyboardInterrupt:
-        print(f"{program}: interrupted", file=sys.stderr)
-        return 130
+        return _report(program, "interrupted", 130)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader of stdout has left
-        return 1
+        return 1  # the reader of stdout has left
     except OSError as error:
-        reason = f"{error.filename}: {error.strerror}" if error.filename else error
-        print(f"{program}: {reason}", file=sys.stderr)
-        return 1
+        reason = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
+        return _report(program, reason, 1)
     except Stopped as stop:
         return stop.exit_code
+    except BaseException as error:
+        if fault := user_fault(error):
+            return _report(program, fault, 2)
+        if isinstance(error, SystemExit):  # of --help
+            return int(error.code or 0)
+        raise
+
+
+def _report(program: str, message: str, code: int) -> int:
+    print(f"{program}: {' '.join(message.splitlines())}", file=sys.stderr)
+    return code

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnPolicy
-from ear_jax.figures.explore import write_page
 from ear_jax.process.terminal import phase
-from ear_jax.rendering.explore import play_sphere
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +27,9 @@ def main(words: list[str]) -> None:
     command = parse(ExploreCommand, words, "explore")
     check_least(command, places=10, steps=8)
     trained = command.load()
+    from ear_jax.figures.explore import write_page
+    from ear_jax.rendering.explore import play_sphere
+
     seed = trained.program.config.seed + command.policy
     with phase(f"rolling out {command.places} LTEs"):
         document, loops = play_sphere(trained, command.policy, command.places, command.steps, command.seed)

@@ -10,10 +10,10 @@ from typing import Annotated
 import tyro
 
 from ear_jax.cli.arguments import option, parse
+from ear_jax.cli.on_run import load_run
 from ear_jax.errors import UsageError
+from ear_jax.pretrained import SUFFIX
 from ear_jax.runs import records
-from ear_jax.runs.export import SUFFIX
-from ear_jax.runs.trained import load, pick, save
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,9 @@ def main(words: list[str]) -> None:
         raise UsageError(f"{command.file} must end in {SUFFIX}")
     if command.file.exists():
         raise UsageError(f"{command.file} already exists; name another file")
-    trained = load(command.run, command.family, "auto")  # no physics is stepped, so that any engine will do
+    trained = load_run(command.run, command.family, "auto")  # no physics is stepped, so that any engine will do
+    from ear_jax.runs.trained import pick, save
+
     if command.policy is not None:
         trained = pick(trained, command.policy)
     card = save(command.file, trained, records.read_rows(command.run / "metrics.jsonl"))

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from ear_jax.cli.arguments import option, parse
-from ear_jax.envs import FAMILIES, make_family
-from ear_jax.envs.registry import offered_families
+from ear_jax.cli.results import plain, print_table
 from ear_jax.errors import RunError, UsageError
+from ear_jax.names import FAMILIES, family_name, offered_families
+from ear_jax.process.environment import start_jax
+from ear_jax.process.terminal import sign_of_life
 
 
 @dataclass(frozen=True)
@@ -30,32 +30,35 @@ class FamiliesCommand:
 def main(words: list[str]) -> None:
     command = parse(FamiliesCommand, words, "families")
     families, lacking = [], {}
-    for name in command.names or (*FAMILIES, *offered_families()):
-        try:
-            families.append(describe(name))
-        except (UsageError, RunError) as error:
-            if command.names:
-                raise
-            lacking[name] = str(error)
+    named = [family_name(word) for word in command.names]
+    with sign_of_life("loading the families"):
+        start_jax()
+        for name in named or (*FAMILIES, *offered_families()):
+            try:
+                families.append(describe(name))
+            except (UsageError, RunError) as error:
+                if named:
+                    raise
+                lacking[name] = str(error)
     if command.json:
         print(json.dumps({"families": families, "lacking": lacking}))
         return
-    table = Table()
-    for heading in ("family", "tasks", "obs", "action", "step (s)", "episode"):
-        table.add_column(heading, overflow="fold")
+    rows = []
     for family in families:
         names = family["tasks"]
         tasks = f"{len(names)}: {names[0]} … {names[-1]}"
         sizes = (str(family[key]) for key in ("observation_size", "action_size", "dt", "episode_length"))
-        table.add_row(family["name"], tasks, *sizes)
-    Console(highlight=False).print(table)
+        rows.append((family["name"], tasks, *sizes))
+    print_table(("family", "tasks", "observation>", "action>", "step (s)>", "episode (steps)>"), rows)
     for name, reason in lacking.items():
-        print(f"{name} is not available here: {reason}")
+        print(plain(f"{name} is not available here: {reason}"))
     print("A family of your own: ear train path/to/file.py:ClassName (docs/your-own-family.md)")
 
 
 def describe(name: str) -> dict[str, Any]:
     """Returns a family's tasks, units and sizes; `dt` in seconds, `episode_length` in environment steps."""
+    from ear_jax.envs import make_family
+
     family = make_family(name)
     return {
         "name": name,

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
-
-import numpy as np
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result
-from ear_jax.embeddings import ltes
-from ear_jax.embeddings.interpolate import BETAS, End, Pair, adjacent_pairs, interpolate, play_blends, trained_ends
-from ear_jax.envs import find_task
+from ear_jax.cli.results import keep, print_result, print_table
 from ear_jax.errors import UsageError
-from ear_jax.figures.interpolate import draw_interpolate
 from ear_jax.process.terminal import phase
-from ear_jax.runs.trained import Trained
+
+if TYPE_CHECKING:
+    from ear_jax.embeddings.interpolate import Pair
+    from ear_jax.runs.trained import Trained
 
 HEADINGS = {"mid_task": "mid", "one_to_one": "1:1", "one_to_one_outcome": "at β = ½"}
 MEASURES = {
@@ -56,6 +51,10 @@ def main(words: list[str]) -> None:
         check_finite("--target", command.target)
     check_least(command, episodes=1)
     trained = command.load()
+    from ear_jax.cli.ends import find_pair
+    from ear_jax.embeddings.interpolate import BETAS, adjacent_pairs, interpolate, trained_ends
+    from ear_jax.figures.interpolate import draw_interpolate
+
     if command.between:
         pairs = [find_pair(trained, *command.between)]
     else:
@@ -69,33 +68,10 @@ def main(words: list[str]) -> None:
     print_result(document, pictures, command.json, _print)
 
 
-def find_pair(trained: Trained, first: str, second: str) -> Pair:
-    """Returns the ends of an interpolation by the names that a user gives.
-
-    Raises:
-      UsageError: a name of neither a training task nor a saved LTE, a task without a target, or the same task twice.
-    """
-    ends = find_end(trained, first), find_end(trained, second)
-    for end in ends:
-        if end.target is None:
-            quantity = trained.program.family.commanded
-            raise UsageError(f"{end.name!r} has no target {quantity} to interpolate; `ear compose` blends such tasks")
-    if ends[0].name == ends[1].name:
-        raise UsageError(f"--between {first} {second} names one task twice")
-    return ends
-
-
-def find_end(trained: Trained, word: str) -> End:
-    """Returns a saved LTE or a training task by its name."""
-    family, program = trained.program.family, trained.program
-    if word in ltes.saved(trained.directory):
-        saved = ltes.lookup(trained.directory, word, trained.fingerprint)
-        return End(word, find_task(family, saved["task"]).target, np.array(saved["codes"], np.float32))
-    return trained_ends(trained)[program.tasks.index(find_task(family, word).name)]
-
-
 def _at_betas(trained: Trained, pairs: list[Pair], command: InterpolateCommand) -> dict[str, Any]:
     """Plays the given β and returns the document, with `blends` in place of `pairs`."""
+    from ear_jax.embeddings.interpolate import play_blends
+
     achieved = play_blends(trained, pairs, command.beta, command.episodes, command.seed, command.along)
     return {
         "blends": [
@@ -115,19 +91,15 @@ def _at_betas(trained: Trained, pairs: list[Pair], command: InterpolateCommand) 
 
 def _print(document: dict[str, Any]) -> None:
     """Prints one row per pair or blend, and the counts of the paper's two measures."""
-    table = Table()
     rows = document.get("pairs") or document["blends"]
     columns = [key for key in rows[0] if key not in ("between", "curve")]
-    for heading in ("between", *columns):
-        table.add_column(HEADINGS.get(heading, heading))
-    for row in rows:
-        table.add_row("–".join(row["between"]), *(_show(row[key]) for key in columns))
-    console = Console(highlight=False)
-    console.print(table)
-    console.print(f"outcomes in {document['commanded']['unit']}")
+    headings = (HEADINGS.get(heading, heading) for heading in columns)
+    cells = [("–".join(row["between"]), *(_show(row[key]) for key in columns)) for row in rows]
+    print_table(("between", *headings), cells)
+    print(f"outcomes in {document['commanded']['unit']}")
     for measure, meaning in MEASURES.items():
         if measure in document:
-            console.print(f"{meaning}: {document[measure]['success']} of {document[measure]['total']} pairs")
+            print(f"{meaning}: {document[measure]['success']} of {document[measure]['total']} pairs")
 
 
 def _show(value: Any) -> str:

@@ -8,9 +8,7 @@ from typing import Annotated, Any
 from ear_jax.cli.arguments import option, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, print_result
-from ear_jax.embeddings.lse import lse
-from ear_jax.envs import find_task
-from ear_jax.figures.lse import NAMES, draw_lse
+from ear_jax.process.terminal import phase
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,14 +22,21 @@ class LseCommand(OnRun):
 def main(words: list[str]) -> None:
     command = parse(LseCommand, words, "lse")
     trained = command.load()
+    from ear_jax.embeddings.lse import lse
+    from ear_jax.envs import find_task
+    from ear_jax.figures.lse import draw_lse
+
     names = trained.program.tasks.names
     task = names[len(names) // 2] if command.task is None else find_task(trained.program.family, command.task).name
-    document = lse(trained, task, command.seed)
+    with phase("playing an episode"):
+        document = lse(trained, task, command.seed)
     pictures = keep(trained.directory, "lse.json", document, draw_lse)
     print_result(document, pictures, command.json, _print)
 
 
 def _print(document: dict[str, Any]) -> None:
+    from ear_jax.figures.lse import NAMES
+
     for entry in document["seeds"]:
         for key, name in NAMES.items():
             signal = entry[key]

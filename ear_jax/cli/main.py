@@ -6,8 +6,9 @@ import importlib
 import os
 import sys
 
+import ear_jax
 from ear_jax.cli.exits import exit_code
-from ear_jax.errors import unknown
+from ear_jax.errors import UsageError, hint, known_name, nearest
 
 # Module and summary of each; the module, imported only when it is called, has a function main(arguments).
 COMMANDS = {
@@ -27,12 +28,31 @@ COMMANDS = {
     "doctor": ("ear_jax.cli.doctor", "check this installation"),
 }
 
+# Words that users try, and the commands that do what they mean.
+SYNONYMS = {
+    **dict.fromkeys(("resume", "continue", "run", "fit", "learn"), ("train",)),
+    **dict.fromkeys(("play", "watch", "show", "enjoy"), ("render", "evaluate", "explore")),
+    **dict.fromkeys(("test", "eval", "score"), ("evaluate",)),
+    **dict.fromkeys(("video", "film", "movie", "gif", "picture", "visualize", "visualise"), ("render",)),
+    **dict.fromkeys(("blend", "mix"), ("interpolate", "compose")),
+    **dict.fromkeys(("finetune", "fine-tune", "search", "transfer"), ("adapt",)),
+    **dict.fromkeys(("list", "ls"), ("families", "pretrained")),
+    **dict.fromkeys(("agents", "models", "zoo", "download", "hub"), ("pretrained",)),
+    **dict.fromkeys(("envs", "tasks", "environments"), ("families",)),
+    **dict.fromkeys(("save", "deploy"), ("export",)),
+    **dict.fromkeys(("web", "page", "browse", "steer"), ("explore",)),
+    **dict.fromkeys(("check", "info", "env", "diagnose"), ("doctor",)),
+    **dict.fromkeys(("example", "tutorial", "quickstart", "start"), ("demo",)),
+}
+
 
 def usage() -> str:
     """Returns the help of `ear` itself."""
     lines = [f"  {name:<11} {summary}" for name, (_, summary) in COMMANDS.items()]
     return (
-        "usage: ear COMMAND [OPTIONS]\n\ncommands:\n" + "\n".join(lines) + "\n\n`ear COMMAND --help` lists its options."
+        "usage: ear COMMAND [OPTIONS]\n\ncommands:\n"
+        + "\n".join(lines)
+        + "\n\n`ear COMMAND --help` lists its options; `ear --version` tells the version."
     )
 
 
@@ -43,15 +63,31 @@ def main(arguments: list[str] | None = None) -> int:
     return code if words else 2
 
 
-def _run(name: str, *arguments: str) -> None:
-    if name in ("-h", "--help"):
-        print(usage())
+def find_command(word: str) -> str:
+    """Returns the command that a word names; raises UsageError, with those that it may mean, if there is none."""
+    meant = SYNONYMS.get(word.lower()) or nearest(word, COMMANDS)
+    try:
+        return known_name("command", word, COMMANDS)
+    except UsageError:
+        again = " (the same `ear train` command continues a run)" if word.lower() in ("resume", "continue") else ""
+        there = ", ".join(COMMANDS)
+        raise UsageError(f"unknown command {word!r}{hint(meant)}{again} (there are: {there})") from None
+
+
+def _run(name: str, *words: str) -> None:
+    arguments = list(words)
+    if name in ("-V", "--version", "version"):
+        print(f"ear_jax {ear_jax.__version__}")
         return
-    if name not in COMMANDS:
-        raise unknown("command", name, COMMANDS)
+    if name in ("-h", "--help", "help"):
+        if not arguments:
+            print(usage())
+            return
+        name, *arguments = (*arguments, "--help")
+    name = find_command(name)
     # Hides log lines of JAX and XLA, unless the user sets the variable.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    importlib.import_module(COMMANDS[name][0]).main(list(arguments))
+    importlib.import_module(COMMANDS[name][0]).main(arguments)
 
 
 if __name__ == "__main__":

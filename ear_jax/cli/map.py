@@ -8,8 +8,6 @@ from typing import Any
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, print_result
-from ear_jax.embeddings.map import check_sphere, describe, survey
-from ear_jax.figures.map import draw_map
 from ear_jax.process.terminal import phase
 
 
@@ -27,6 +25,9 @@ def main(words: list[str]) -> None:
     command = parse(MapCommand, words, "map")
     check_least(command, places=10, episodes=1)
     trained = command.load()
+    from ear_jax.embeddings.map import check_sphere, describe, survey
+    from ear_jax.figures.map import draw_map
+
     check_sphere(trained, 3)
     with phase(f"rolling out {command.places} LTEs"):
         document = describe(trained, survey(trained, command.places, command.episodes, command.seed))

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from ear_jax import pretrained
 from ear_jax.cli.arguments import option
 from ear_jax.config import MAX_SEED
-from ear_jax.errors import UsageError
-from ear_jax.process.runtime import enable_cache
-from ear_jax.runs.trained import Trained, check_policy, load
+from ear_jax.errors import UsageError, known_name
+from ear_jax.names import ENGINES, family_name
+from ear_jax.process.environment import start_jax
+from ear_jax.process.terminal import sign_of_life
+from ear_jax.runs import records
+
+if TYPE_CHECKING:
+    from ear_jax.runs.trained import Trained
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,11 +37,34 @@ class OnRun:
     """Print one JSON document and nothing else."""
 
     def load(self) -> Trained:
-        """Loads the run; raises as `trained.load` does, and UsageError for a seed out of range."""
+        """Loads the run, after the checks that need no JAX.
+
+        Raises:
+          UsageError, RunError: as `trained.load`, or JAX cannot work here; UsageError also for a seed out of range.
+        """
         if not 0 <= self.seed < MAX_SEED:
             raise UsageError(f"--seed {self.seed} is out of range; it must be from 0 to {MAX_SEED - 1}")
-        enable_cache()
-        return load(self.run, self.family, self.engine)
+        engine = None if self.engine is None else known_name("engine", self.engine, ("auto", *ENGINES))
+        return load_run(self.run, self.family, engine)
+
+
+def load_run(run: Path, family: str | None, engine: str | None) -> Trained:
+    """Loads a run as `trained.load` does, and shows meanwhile that it works; what cannot be is refused before JAX."""
+    check_run(run)
+    family = None if family is None else family_name(family)
+    with sign_of_life(f"loading {run}"):
+        start_jax()
+        from ear_jax.runs.trained import load
+
+        return load(run, family, engine)
+
+
+def check_run(run: Path) -> None:
+    """Raises UsageError or RunError if there is neither a run, a file nor a pretrained agent of that name."""
+    if str(run).startswith(pretrained.PREFIX):
+        pretrained.card(str(run).removeprefix(pretrained.PREFIX))
+    elif not run.is_file():
+        records.read_run(run)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,5 +77,7 @@ class OnPolicy(OnRun):
     def load(self) -> Trained:
         """Loads the run; raises as `OnRun.load` does, and UsageError for a policy out of range."""
         trained = super().load()
+        from ear_jax.runs.trained import check_policy
+
         check_policy(trained, self.policy)
         return trained

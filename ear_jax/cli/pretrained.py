@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from rich.console import Console
-from rich.table import Table
-
 from ear_jax import pretrained
 from ear_jax.cli.arguments import parse
+from ear_jax.cli.results import print_table
 
 
 @dataclass(frozen=True)
@@ -26,15 +24,13 @@ def main(words: list[str]) -> None:
     if command.json:
         print(json.dumps({"pretrained": cards}))
         return
-    table = Table()
-    for heading in ("name", "agent", "trained", "return", "tasks met"):
-        table.add_column(heading, justify="right" if heading in ("return", "tasks met") else "left", overflow="fold")
+    rows = []
     for card in cards:
         trained = f"{card['minutes']:.0f} min, {card['updates']:,} updates"
         outcomes = [task["met"] for task in card["tasks"] if "met" in task]
         met = f"{sum(outcomes)} of {len(outcomes)}" if outcomes else "–"
-        table.add_row(card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", met)
-    Console(highlight=False).print(table)
+        rows.append((card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", met))
+    print_table(("name", "agent", "trained", "return>", "tasks met>"), rows)
     print("A task is met if no episode ends early and the error is less than half the distance to the next task.")
     print("Tasks without a target are not counted. --json prints every task, and the rest of each agent's card.")
     print("`ear demo --pretrained NAME` shows an agent at work; every command that takes a run takes pretrained:NAME.")

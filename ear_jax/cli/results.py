@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+import shutil
+import sys
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+from rich.cells import cell_len
 
 from ear_jax.runs import records
 
@@ -33,3 +37,32 @@ def print_pictures(pictures: Iterable[Path]) -> None:
     """Prints the paths of pictures on one line; prints nothing if there are none."""
     if paths := ", ".join(map(str, pictures)):
         print(f"pictures: {paths}")
+
+
+def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], title: str | None = None) -> None:
+    """Prints a table of plain text, in which no cell is markup or cut off.
+
+    A heading that ends in `>` aligns its column to the right. If the terminal is too narrow, each row becomes a
+    paragraph with a line for each cell.
+    """
+    names = [heading.removesuffix(">") for heading in headings]
+    right = [heading.endswith(">") for heading in headings]
+    cells = [names, *([plain(cell) for cell in row] for row in rows)]
+    widths = [max(map(cell_len, column)) for column in zip(*cells, strict=True)]
+    if title:
+        print(plain(title))
+    if sys.stdout.isatty() and sum(widths) + 3 * (len(widths) - 1) > shutil.get_terminal_size().columns:
+        for first, *others in cells[1:]:
+            print("\n".join([first, *(f"  {name}: {cell}" for name, cell in zip(names[1:], others, strict=True))]))
+        return
+    for number, row in enumerate(cells):
+        padded = (" " * (width - cell_len(cell)) for cell, width in zip(row, widths, strict=True))
+        filled = (blank + cell if end else cell + blank for cell, blank, end in zip(row, padded, right, strict=True))
+        print("   ".join(filled).rstrip())
+        if number == 0:
+            print("─" * (sum(widths) + 3 * (len(widths) - 1)))
+
+
+def plain(text: str) -> str:
+    """Returns a text whose control characters, which a terminal would obey, are spelt out."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)

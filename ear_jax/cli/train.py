@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import shlex
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -10,17 +12,17 @@ from typing import Annotated
 
 import tyro
 
-from ear_jax.cli.arguments import option, parse
+from ear_jax.cli.arguments import HELP, option, parse
+from ear_jax.cli.closing import say_next, say_summary
 from ear_jax.config import Config, flat
-from ear_jax.envs.registry import FAMILIES, find_family
-from ear_jax.errors import UsageError
-from ear_jax.presets import check_effect, preset_config
-from ear_jax.process.runtime import enable_cache
+from ear_jax.errors import UsageError, known_name
+from ear_jax.limits import check
+from ear_jax.names import ENGINES, FAMILIES, METHODS, family_name
+from ear_jax.presets import check_effect, draft_config, parts, preset_config
+from ear_jax.process.environment import start_jax
+from ear_jax.process.terminal import results_only, sign_of_life
+from ear_jax.runs import records
 from ear_jax.runs.directory import check_place, default_directory
-from ear_jax.runs.documents import header
-from ear_jax.runs.estimate import check_memory, gigabytes, memory, times
-from ear_jax.runs.loop import train_run
-from ear_jax.runs.training import make_program
 
 
 @dataclass(frozen=True)
@@ -35,20 +37,41 @@ class TrainCommand:
 
 
 def main(words: list[str]) -> None:
-    enable_cache()
     command = read(words)
     check_effect(command.config)
     directory = command.out or default_directory(command.config)
     if command.dry_run:
         print_estimate(command.config, directory)
     else:
-        train_run(command.config, directory)
+        train(command.config, directory)
+
+
+def train(config: Config, directory: Path) -> None:
+    """Trains a run, and tells at the end how it went and what can be done with it."""
+    from ear_jax.runs.loop import train_run
+
+    train_run(config, directory)
+    rows = records.read_rows(directory / "metrics.jsonl")
+    if not rows:
+        return
+    say_summary(directory, rows)
+    run, own = shlex.quote(str(directory)), f" --family {shlex.quote(config.family)}" * (config.family not in FAMILIES)
+    say_next(
+        (f"evaluate {run}{own}", "what it achieves on each task"),
+        (f"render {run}{own} --task {shlex.quote(next(iter(rows[-1]['returns'])))}", "a film of the robot"),
+        (f"export {run}{own} {shlex.quote(directory.name)}.safetensors", "its policy in one file"),
+    )
 
 
 def print_estimate(config: Config, directory: Path) -> None:
     """Prints the estimate of `--dry-run`; raises the errors that `ear train` would raise."""
+    from ear_jax.runs.documents import header
+    from ear_jax.runs.estimate import check_memory, gigabytes, memory, times
+    from ear_jax.runs.training import make_program
+
     check_place(directory)
-    program = make_program(config)
+    with results_only():
+        program = make_program(config)
     check_memory(program)
     print(header(program, directory))
     for name, value in flat(config).items():
@@ -67,10 +90,36 @@ def print_estimate(config: Config, directory: Path) -> None:
 
 
 def read(words: list[str]) -> TrainCommand:
-    """Parses the command line, over the settings of the preset and the agent that it names."""
+    """Parses the command line, over the settings of the preset and the agent that it names.
+
+    Mistyped names, options and values are refused before JAX is imported, over a draft of these settings.
+    """
     family, rest = _family(words)
-    base = preset_config(family, _option(rest, "--preset", "fast"), _option(rest, "--agent", "ear"))
+    rest = _known(rest, "--agent", lambda name: known_name("agent", name, METHODS))
+    rest = _known(rest, "--engine", lambda name: known_name("engine", name, ("auto", *ENGINES)))
+    rest = _known(rest, "--preset", lambda name: "+".join((parts(name)[0], *parts(name)[1])))
+    preset, agent = _option(rest, "--preset", "fast"), _option(rest, "--agent", "ear")
+    drafted = (family, agent) == (FAMILIES[0], "ear")  # whose presets are as drafted
+    if drafted or not set(HELP) & set(rest):
+        draft = parse(TrainCommand, [family, *rest], "train", TrainCommand(draft_config(family, preset, agent)))
+        check(draft.config)
+        check_place(draft.out or default_directory(draft.config))
+    with sign_of_life("loading"):
+        start_jax()
+        base = preset_config(family, preset, agent)
     return parse(TrainCommand, [family, *rest], "train", TrainCommand(base))
+
+
+def _known(words: list[str], name: str, known: Callable[[str], str]) -> list[str]:
+    """Replaces each value given to an option by the name that it means."""
+    replaced = []
+    for before, word in zip(("", *words), words, strict=False):
+        if before == name and not word.startswith("--"):
+            word = known(word)
+        elif word.startswith(name + "="):
+            word = f"{name}={known(word.partition('=')[2])}"
+        replaced.append(word)
+    return replaced
 
 
 def _option(words: list[str], name: str, default: str) -> str:
@@ -86,9 +135,8 @@ def _option(words: list[str], name: str, default: str) -> str:
 
 def _family(words: list[str]) -> tuple[str, list[str]]:
     """Splits the words into the family, which comes first, and the rest."""
-    if words and words[0] in ("-h", "--help"):
-        return next(iter(FAMILIES)), words
+    if words and words[0] in HELP:
+        return FAMILIES[0], words
     if not words or words[0].startswith("-"):
         raise UsageError(f"name a family first: ear train FAMILY (there are: {', '.join(sorted(FAMILIES))})")
-    find_family(words[0])
-    return words[0], words[1:]
+    return family_name(words[0]), words[1:]

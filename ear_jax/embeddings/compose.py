@@ -14,7 +14,6 @@ from ear_jax.embeddings.trajectory import Trajectory, follow
 from ear_jax.envs import Family
 from ear_jax.runs.trained import Trained, policy_of
 
-BETAS = tuple(round(0.1 * step, 1) for step in range(10, -1, -1))
 SHOWN = 100  # last steps of the contact pattern that the document keeps
 
 

@@ -7,7 +7,6 @@ import importlib
 import importlib.util
 import sys
 from collections.abc import Mapping
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +14,14 @@ from ear_jax.envs.family import Family
 from ear_jax.envs.user_code import source_file, user_code
 from ear_jax.envs.validation import check_class, check_family, check_task
 from ear_jax.errors import UsageError, unknown
+from ear_jax.names import FAMILY_FILES, family_name, name_of, offered_families
 from ear_jax.physics import choose_engine
 from ear_jax.process.silent_imports import register_environment
 from ear_jax.tasks import Task
 
-FILES = (  # of this package, each defining FAMILY; a new family is its file and a line here
-    "halfcheetah_vel",
-    "ant_dir",
-    "hopper_vel",
-    "walker_vel",
-    "halfcheetah_run_jump",
-    "reach",
-)
 FAMILIES: dict[str, type[Family]] = {
-    family.name: family for family in (importlib.import_module(f"{__package__}.{file}").FAMILY for file in FILES)
+    name_of(file): importlib.import_module(f"{__package__}.{file}").FAMILY for file in FAMILY_FILES
 }
-ENTRY_POINTS = "ear_jax.families"  # entry-point group of families in installed packages
 
 for _name, _family in FAMILIES.items():
     register_environment("ear_" + _name.replace("-", "_"), _family)
@@ -42,22 +33,16 @@ def find_family(name: str) -> type[Family]:
     Raises:
       UsageError: the family is unknown, or the file does not define it.
     """
+    name = name if name in FAMILIES else family_name(name)
     if name in FAMILIES:
         return FAMILIES[name]
     if ":" in name:
         return _from_file(*name.rsplit(":", 1))
     offered = offered_families()
-    if name not in offered:
-        raise unknown("family", name, (*FAMILIES, *offered))
     with user_code(f"family {name!r} cannot be loaded from {offered[name].value}", None):
         kind = offered[name].load()
     check_class(kind, name)
     return kind
-
-
-def offered_families() -> dict[str, EntryPoint]:
-    """Returns the entry points of families in installed packages, by name."""
-    return {point.name: point for point in entry_points(group=ENTRY_POINTS)}
 
 
 def family_presets(name: str) -> Mapping[str, Mapping[str, Any]]:
@@ -111,8 +96,6 @@ def find_task(family: Family, text: str) -> Task:
 
 def _from_file(path: str, class_name: str) -> type[Family]:
     file = Path(path)
-    if not file.is_file():
-        raise UsageError(f"no file {path}; name your own family as path/to/file.py:ClassName")
     return _loaded(path, class_name, file.resolve(), file.stat().st_mtime_ns)
 
 

@@ -1,4 +1,4 @@
-"""The methods, one file each, which defines METHOD. Adding a method takes that file and a line in `FILES`."""
+"""The methods, one file each, which defines METHOD. A new one needs a line in `ear_jax/names.py`."""
 
 from __future__ import annotations
 
@@ -6,30 +6,18 @@ from importlib import import_module
 
 from ear_jax.agents import Agent, standardised
 from ear_jax.config import Config
-from ear_jax.errors import unknown
+from ear_jax.errors import known_name
 from ear_jax.methods.method import Method, Sizes
+from ear_jax.names import METHOD_FILES, name_of
 
 __all__ = ["METHODS", "Method", "Sizes", "find_method", "make_agent"]
 
-FILES = (
-    "ear",
-    "ear_rnn",
-    "onehot",
-    "onehot_blind",
-    "multihead",
-    "pearl",
-    "maml",
-)
-METHODS: dict[str, Method] = {
-    method.name: method for method in (import_module(f"{__name__}.{file}").METHOD for file in FILES)
-}
+METHODS: dict[str, Method] = {name_of(file): import_module(f"{__name__}.{file}").METHOD for file in METHOD_FILES}
 
 
 def find_method(name: str) -> Method:
     """Returns a method by name; raises UsageError for an unknown name."""
-    if name not in METHODS:
-        raise unknown("agent", name, METHODS)
-    return METHODS[name]
+    return METHODS[known_name("agent", name, METHODS)]
 
 
 def make_agent(sizes: Sizes, config: Config) -> Agent:

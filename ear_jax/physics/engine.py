@@ -5,12 +5,11 @@ from __future__ import annotations
 import jax
 import mujoco
 
-from ear_jax.errors import RunError, unknown
+from ear_jax.errors import RunError, known_name, unknown
+from ear_jax.names import ENGINES
 from ear_jax.physics.mjx import MjxEngine
 from ear_jax.physics.native import NativeEngine
 from ear_jax.physics.state import Engine
-
-ENGINES = ("native", "mjx", "warp")
 
 
 def choose_engine(name: str) -> str:
@@ -20,11 +19,9 @@ def choose_engine(name: str) -> str:
       UsageError: the engine is unknown.
       RunError: the engine does not run on this backend.
     """
-    backend = jax.default_backend()
+    name, backend = known_name("engine", name, ("auto", *ENGINES)), jax.default_backend()
     if name == "auto":
         return "native" if backend == "cpu" else "mjx"
-    if name not in ENGINES:
-        raise unknown("engine", name, ("auto", *ENGINES))
     if name == "native" and backend != "cpu":
         raise RunError(
             f"engine 'native' steps on the CPU, but JAX runs on {backend} here; use 'mjx' or JAX_PLATFORMS=cpu"

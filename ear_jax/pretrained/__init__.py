@@ -10,10 +10,11 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-from ear_jax.errors import RunError, unknown
+from ear_jax.errors import RunError, known_name
 from ear_jax.files.documents import read_json
 
 PREFIX = "pretrained:"
+SUFFIX = ".safetensors"  # of the files of policies
 FOLDER = Path(__file__).parent
 
 
@@ -29,9 +30,7 @@ def card(name: str) -> dict[str, Any]:
       UsageError: there is no such agent.
       RunError: its card cannot be read.
     """
-    if name not in names():
-        raise unknown("pretrained agent", name, names())
-    path = FOLDER / f"{name}.json"
+    path = FOLDER / f"{known_name('pretrained agent', name, names())}.json"
     document = read_json(path)
     if not isinstance(document.get("sha256"), str):
         raise RunError(f"{path} cannot be read: 'sha256' is not a string")
@@ -45,7 +44,7 @@ def find(name: str) -> Path:
       UsageError: there is no such agent.
       RunError: the file cannot be read, or differs from its card.
     """
-    path = FOLDER / f"{name}.safetensors"
+    path = FOLDER / f"{known_name('pretrained agent', name, names())}{SUFFIX}"
     expected = card(name)["sha256"]
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -58,4 +57,4 @@ def find(name: str) -> Path:
 
 def results(name: str) -> Path:
     """Returns the directory of an agent's analyses, under the working directory as the package may be read-only."""
-    return Path("runs") / f"pretrained-{name}"
+    return Path("runs") / f"pretrained-{known_name('pretrained agent', name, names())}"

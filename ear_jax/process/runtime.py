@@ -9,10 +9,16 @@ from typing import Any
 import jax
 
 
-def cache_dir() -> Path:
-    """Returns the directory of compiled programs; XLA trusts its contents, so only the user may write there."""
-    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
-    return Path(os.environ.get("EAR_JAX_CACHE") or Path(base) / "ear_jax") / "xla"
+def cache_dir() -> Path | None:
+    """Returns the directory of compiled programs; XLA trusts its contents, so only the user may write there.
+
+    None if no variable names one and the user has no home.
+    """
+    named = os.environ.get("EAR_JAX_CACHE")
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if not named and base.startswith("~"):
+        return None
+    return Path(named or Path(base) / "ear_jax") / "xla"
 
 
 def enable_cache() -> None:
@@ -20,6 +26,8 @@ def enable_cache() -> None:
     if getattr(jax.config, "jax_compilation_cache_dir", None):
         return
     directory = cache_dir()
+    if directory is None:
+        return
     try:
         directory.mkdir(parents=True, exist_ok=True, mode=0o700)
         directory.chmod(0o700)

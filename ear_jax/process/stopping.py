@@ -26,13 +26,19 @@ class StopRequest:
 
     Python runs signal handlers only between bytecodes of the main thread, which spends a whole block inside a compiled
     program. A separate thread therefore reads signals from the pipe that the interpreter writes them to.
+
+    Entered in another thread it records none, as signals are the main thread's; they do what the program decides.
     """
 
     def __init__(self, announce: Callable[[str], None]):
         self.signal: int | None = None
         self._announce = announce
+        self._listens = False
 
     def __enter__(self) -> StopRequest:
+        self._listens = threading.current_thread() is threading.main_thread()
+        if not self._listens:
+            return self
         self._read_end, self._write_end = os.pipe()
         os.set_blocking(self._write_end, False)
         self._old_handlers: dict[int, Any] = {number: signal.signal(number, lambda *_: None) for number in SIGNALS}
@@ -42,6 +48,8 @@ class StopRequest:
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if not self._listens:
+            return
         signal.set_wakeup_fd(self._old_wakeup_fd)
         for number, handler in self._old_handlers.items():
             signal.signal(number, handler)

@@ -1,47 +1,75 @@
-"""Progress on stderr: a live line on a terminal, plain lines otherwise."""
+"""Progress on stderr: a live line on a terminal that can move its cursor, plain lines otherwise."""
 
 from __future__ import annotations
 
+import contextlib
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
-console = Console(stderr=True, highlight=False)
+console = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
 def say(line: str) -> None:
     """Prints one line."""
-    console.print(line, markup=False, soft_wrap=True)
+    console.print(line, soft_wrap=True)
+
+
+def is_live() -> bool:
+    """Returns whether stderr is a terminal that can move its cursor."""
+    return console.is_terminal and not console.is_dumb_terminal
 
 
 @contextmanager
 def phase(name: str) -> Iterator[None]:
-    """Shows a name while something slow runs, then the seconds it took."""
+    """Shows a name and the time while something slow runs, then the seconds it took.
+
+    What the slow work prints on stdout, as a user's family may, goes to stderr: stdout is for results.
+    """
     began = time.perf_counter()
-    with console.status(name):
+    if not is_live():
+        say(f"{name} …")
+    with _live(name), results_only():
         yield
     say(f"{name}: {time.perf_counter() - began:.1f} s")
+
+
+@contextmanager
+def sign_of_life(name: str) -> Iterator[None]:
+    """Shows a name on a terminal while something slow runs, and nothing elsewhere; stdout as in `phase`."""
+    if console.is_terminal and not is_live():
+        say(f"{name} …")
+    with _live(name), results_only():
+        yield
+
+
+@contextmanager
+def results_only() -> Iterator[None]:
+    """Sends what is printed on stdout to stderr meanwhile."""
+    with contextlib.redirect_stdout(sys.stderr):
+        yield
+
+
+def _live(name: str) -> Progress:
+    """Returns a line that shows a name and the time that passes, and vanishes at the end."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    line = Progress(*columns, console=console, transient=True, disable=not is_live())
+    line.add_task(name, total=None)
+    return line
 
 
 class TrainingBar:
     """A progress bar of epochs with the last block's return and speed."""
 
     def __init__(self, done: int, epochs: int):
-        self._plain = not console.is_terminal
-        self._bar = Progress(
-            SpinnerColumn(),
-            TextColumn("epoch {task.completed:.0f}/{task.total:.0f}"),
-            TextColumn("{task.description}"),
-            TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(elapsed_when_finished=False),
-            console=console,
-            disable=self._plain,
-        )
-        self._task = self._bar.add_task("training", total=epochs, completed=done)
+        columns = (SpinnerColumn(), BlockColumn())
+        self._bar = Progress(*columns, console=console, disable=not is_live())
+        self._task = self._bar.add_task("", total=epochs, completed=done, mean_return=None, speed="")
         self._epochs = epochs
 
     def __enter__(self) -> TrainingBar:
@@ -53,7 +81,35 @@ class TrainingBar:
 
     def update(self, epoch: int, mean_return: float, env_steps_rate: float, updates_rate: float) -> None:
         """Shows a block's mean return and its environment steps and updates per second."""
-        text = f"return {mean_return:.1f} · {env_steps_rate:,.0f} steps/s · {updates_rate:,.0f} updates/s"
-        self._bar.update(self._task, completed=epoch, description=text)
-        if self._plain:
-            say(f"epoch {epoch}/{self._epochs} · {text}")
+        speed = f"{env_steps_rate:,.0f} steps/s · {updates_rate:,.0f} updates/s"
+        self._bar.update(self._task, completed=epoch, mean_return=mean_return, speed=speed)
+        if self._bar.disable:
+            say(f"epoch {epoch}/{self._epochs} · return {mean_return:.1f} · {speed}")
+
+
+class BlockColumn(ProgressColumn):
+    """Epochs, return and time left of a training run, and its speed where the terminal is wide enough."""
+
+    def render(self, task: Task) -> Text:
+        """Returns the longest form that fits beside the spinner."""
+        done = f"{task.completed:.0f}/{task.total:.0f}"
+        shown = task.fields["mean_return"]
+        mean_return = [] if shown is None else [f"return {shown:.1f}"]
+        left = f"{_clock(task.time_remaining)} left"
+        speed = [task.fields["speed"]] if task.fields["speed"] else []
+        forms = (
+            [f"epoch {done}", *mean_return, *speed, _clock(task.elapsed), left],
+            [f"epoch {done}", *mean_return, _clock(task.elapsed), left],
+            [f"epoch {done}", *mean_return, left],
+            [done, *(text.removeprefix("return ") for text in mean_return), left],
+        )
+        lines = [" · ".join(form) for form in forms]
+        return Text(next((line for line in lines if len(line) <= console.width - 2), lines[-1]), no_wrap=True)
+
+
+def _clock(seconds: float | None) -> str:
+    """Returns a time as hours:minutes:seconds; dashes for an unknown one."""
+    if seconds is None:
+        return "-:--:--"
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{rest:02}"

@@ -7,11 +7,13 @@ import os
 import reprlib
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ear_jax.config import Config, flat, from_dict, run_name
 from ear_jax.errors import RunError, UsageError
-from ear_jax.tasks import TaskSet
+
+if TYPE_CHECKING:
+    from ear_jax.tasks import TaskSet
 
 # Settings that may change when a run is continued, as they do not affect what an epoch computes.
 MAY_CHANGE = ("epochs", "minutes", "engine", "checkpoint.blocks", "checkpoint.replay")

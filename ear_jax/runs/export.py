@@ -17,7 +17,6 @@ from ear_jax.runs import safetensors
 from ear_jax.runs.leaves import named_leaves
 
 FORMAT = "ear_jax policy 1"
-SUFFIX = ".safetensors"
 ABOUT = {"config": dict, "tasks": list, "engine": str, "epoch": int, "collected": int, "versions": dict}
 
 

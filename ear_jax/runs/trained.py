@@ -17,11 +17,12 @@ from ear_jax.config import from_dict
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError, UsageError
 from ear_jax.limits import check
+from ear_jax.pretrained import SUFFIX
 from ear_jax.process.runtime import compiler_options
 from ear_jax.process.terminal import say
 from ear_jax.runs import checkpoint, records, training
 from ear_jax.runs.directory import check_tasks
-from ear_jax.runs.export import SUFFIX, read_about, read_policy, write_policy
+from ear_jax.runs.export import read_about, read_policy, write_policy
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 from ear_jax.runs.seeds import seed_range
 from ear_jax.runs.training import Program

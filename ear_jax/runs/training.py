@@ -21,6 +21,7 @@ from ear_jax.learning.episodes import Episodes, play
 from ear_jax.learning.learner import Learner, Metrics
 from ear_jax.limits import check
 from ear_jax.methods import Sizes, find_method, make_agent
+from ear_jax.process.environment import check_settings
 from ear_jax.tasks import TaskSet, task_set
 
 Numbers = Mapping[str, jax.Array]  # settings by name, such as sac.lr, that are arguments of the compiled program
@@ -69,8 +70,9 @@ def make_program(config: Config) -> Program:
 
     Raises:
       UsageError: a name or value is invalid.
-      RunError: the engine cannot run here.
+      RunError: the engine cannot run here, or JAX has a setting that would leak into the run.
     """
+    check_settings()
     check(config)
     family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
     family.history = config.network.history

@@ -67,7 +67,7 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("train halfcheetah-vel --preset fast+no-nose", "did you mean 'no-noise'"),
         ("train halfcheetah-vel --preset fast+no-norm --agent onehot", "has no use for --network.normalise-lse"),
         ("train halfcheetah-vel --sac.lrr 1", "did you mean --sac.lr?"),
-        ("train halfcheetah-vel --sac.lr abc", "could not convert string to float: 'abc'"),
+        ("train halfcheetah-vel --sac.lr abc", "--sac.lr takes a number, not 'abc'"),
         ("train halfcheetah-vel --sac.lr -1", "must be above 0"),
         ("train halfcheetah-vel --sac.pessimism 2", "it must be from 0 to 1"),
         ("train halfcheetah-vel --seeds 0", "--seeds 0 is too small; it must be at least 1"),
@@ -91,7 +91,7 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("train halfcheetah-vel --out afile/run", "afile is a file"),
         ("train halfcheetah-vel --out full", "neither empty nor a run directory"),
         ("evaluate nowhere", "not a run directory"),
-        ("evaluate", "Missing"),
+        ("evaluate", "RUN is missing: the run directory, an exported file, or pretrained:NAME"),
         ("evaluate full --episodes 0", "must be at least 1"),
     ],
 )

@@ -65,7 +65,7 @@ def test_the_documents_command_is_right(family_file, monkeypatch):
     """The command is followed up to the configuration that reaches the trainer."""
     words = re.search(r"^ear (train \S+:\S+ .*)$", DOCUMENT.read_text(), re.MULTILINE)[1].split()
     asked = []
-    monkeypatch.setattr("ear_jax.cli.train.train_run", lambda config, directory: asked.append(config))
+    monkeypatch.setattr("ear_jax.runs.loop.train_run", lambda config, directory: asked.append(config))
     monkeypatch.chdir(family_file.parent)
     assert main(words) == 0
     assert (asked[0].family, asked[0].preset) == ("my_family.py:BalanceAt", "smoke")
@@ -85,7 +85,7 @@ def test_the_documents_family_can_be_checked_alone(family_file, monkeypatch, cap
 
 def test_an_installed_package_offers_families_by_entry_point(monkeypatch, capsys):
     point = EntryPoint("bandit", "tests.helpers.probe:Bandit", "ear_jax.families")
-    monkeypatch.setattr("ear_jax.envs.registry.entry_points", lambda group: [point] * (group == "ear_jax.families"))
+    monkeypatch.setattr("ear_jax.names.entry_points", lambda group: [point] * (group == "ear_jax.families"))
     assert make_family("bandit", "native").name == "bandit"
     with pytest.raises(UsageError, match="did you mean 'bandit'"):
         make_family("bandti", "native")
@@ -106,7 +106,7 @@ def test_a_file_is_run_once_until_it_is_modified(tmp_path, capsys):
 
 def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
     point = EntryPoint("broken", "nosuchpackage:Mine", "ear_jax.families")
-    monkeypatch.setattr("ear_jax.envs.registry.entry_points", lambda group: [point])
+    monkeypatch.setattr("ear_jax.names.entry_points", lambda group: [point])
     assert main(["families"]) == 0
     assert "broken is not available here: family 'broken' cannot be loaded" in capsys.readouterr().out
     assert main(["families", "broken"]) == 2

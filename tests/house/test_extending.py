@@ -26,12 +26,13 @@ def block(document: str) -> str:
     return found
 
 
-def add(registry: Path, name: str, content: str) -> None:
-    """Adds one file beside a registry and one line to its `FILES`."""
-    (registry.parent / f"{name}.py").write_text(content)
-    text, count = re.subn(r"^(FILES = \(.*)\n", rf'\1\n    "{name}",\n', registry.read_text(), flags=re.MULTILINE)
+def add(package: Path, room: str, registry: str, name: str, content: str) -> None:
+    """Adds one file to a room and one line to its list in `names.py`."""
+    (package / room / f"{name}.py").write_text(content)
+    names = package / "names.py"
+    text, count = re.subn(rf"^({registry} = \(.*)\n", rf'\1\n    "{name}",\n', names.read_text(), flags=re.MULTILINE)
     assert count == 1
-    registry.write_text(text)
+    names.write_text(text)
 
 
 @pytest.fixture
@@ -44,8 +45,8 @@ def extended(tmp_path: Path) -> Path:
             ignore=shutil.ignore_patterns("__pycache__", "*.safetensors", "*.json"),
         )
     )
-    add(package / "methods" / "__init__.py", "ear_c51", block("extending.md"))
-    add(package / "envs" / "registry.py", "balance_at", block("your-own-family.md") + "\n\nFAMILY = BalanceAt\n")
+    add(package, "methods", "METHOD_FILES", "ear_c51", block("extending.md"))
+    add(package, "envs", "FAMILY_FILES", "balance_at", block("your-own-family.md") + "\n\nFAMILY = BalanceAt\n")
     return tmp_path
 
 

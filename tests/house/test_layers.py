@@ -13,6 +13,7 @@ PACKAGE = Path(ear_jax.__file__).parent
 # From the bottom up. A package may import only from those before it; so may the modules beside them.
 ORDER = (
     "errors",
+    "names",
     "config",
     "limits",
     "tasks",

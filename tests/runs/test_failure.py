@@ -132,7 +132,7 @@ def test_a_loss_that_is_not_finite_ends_the_run_and_leaves_the_last_good_step(fi
 
 
 def test_a_lost_run_is_exit_code_1_and_one_line(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("ear_jax.cli.train.train_run", _lost)
+    monkeypatch.setattr("ear_jax.runs.loop.train_run", _lost)
     assert main(["train", "halfcheetah-vel", "--out", str(tmp_path / "run")]) == 1
     assert capsys.readouterr().err == "ear: seed 0 is lost\n"
 

@@ -1,0 +1,95 @@
+"""The roll-outs that `ear render` shows, and the files it makes of them."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ear_jax.agents.networks import Params
+from ear_jax.embeddings import ltes
+from ear_jax.embeddings.interpolate import blend_codes
+from ear_jax.embeddings.trajectory import Trajectory
+from ear_jax.envs import Family, find_task
+from ear_jax.errors import RunError, UsageError
+from ear_jax.figures.strip import draw_strip
+from ear_jax.figures.video import write_gif, write_mp4
+from ear_jax.process.terminal import phase, say
+from ear_jax.rendering.film import arrange, film, photograph
+from ear_jax.runs import records
+from ear_jax.runs.trained import Trained
+
+BETAS = (0.75, 0.5, 0.25)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One roll-out to show."""
+
+    name: str
+    code: jax.Array  # [code]
+
+
+def choose_shots(command: Any, trained: Trained, policy: Params) -> list[Shot]:
+    """Returns the roll-outs that the options of `ear render` ask for, in their order."""
+    program, agent, tasks = trained.program, trained.program.agent, trained.program.tasks
+    table = agent.codes(policy)
+
+    def row(name: str) -> int:
+        return tasks.index(find_task(program.family, name).name)
+
+    if command.task:
+        return [Shot(tasks.names[index], table[index]) for index in map(row, command.task)]
+    if command.lte:
+        codes = ltes.find(trained.directory, command.lte, program.config.seeds, agent.code_size, trained.fingerprint)
+        return [Shot("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
+    first, second = map(row, command.interpolate or ())
+    if first == second:
+        raise UsageError(f"--interpolate {' '.join(command.interpolate or ())} names one task twice")
+    betas = sorted(command.beta or BETAS, reverse=True)
+    blended = blend_codes(agent, table[first], table[second], betas, command.along)
+    blends = [Shot(f"β = {beta:g}", code) for beta, code in zip(betas, blended, strict=True)]
+    return [Shot(tasks.names[first], table[first]), *blends, Shot(tasks.names[second], table[second])]
+
+
+def file_name(command: Any, shots: list[Shot]) -> str:
+    names = [shot.name for shot in shots]
+    name = f"{names[0]}_to_{names[-1]}" if command.interpolate else "_".join(names)
+    return re.sub(r"[^\w.-]+", "_", name)
+
+
+def draw(
+    run: Path, name: str, family: Family, shots: list[Shot], trajectories: list[Trajectory], with_film: bool
+) -> dict[str, Path]:
+    """Writes the strip and the films; without OpenGL it draws the strip as stick figures and raises RunError."""
+    figures = records.folder(run / "figures")
+    labels = [_label(family, *pair) for pair in zip(shots, trajectories, strict=True)]
+    strip = arrange(family.portrait(), trajectories, labels, family.dt)
+    path = figures / f"strip_{name}.png"
+    try:
+        with phase("drawing the strip"):
+            draw_strip(path, photograph(strip), strip.bounds, strip.caption)
+        if not with_film:
+            return {"strip": path}
+        with phase("filming"):
+            pictures, seconds = film(strip.model, trajectories, [shot.name for shot in shots], family.dt)
+    except RunError as error:
+        draw_strip(path, strip.panels, strip.bounds, strip.caption)
+        raise RunError(f"{error}; {path} shows stick figures instead, and there is no film") from None
+    videos = records.folder(run / "videos")
+    files = {"strip": path, "gif": write_gif(videos / f"{name}.gif", pictures, seconds)}
+    mp4 = write_mp4(videos / f"{name}.mp4", pictures, seconds)
+    if mp4:
+        return {**files, "mp4": mp4}
+    say("no MP4: ffmpeg is not on the PATH")
+    return files
+
+
+def _label(family: Family, shot: Shot, trajectory: Trajectory) -> str:
+    fell = "\nfell" if trajectory.fell else ""
+    return f"{textwrap.fill(shot.name, 16)}\n{trajectory.achieved:z.2f} {family.unit}{fell}"

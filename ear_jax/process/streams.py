@@ -1,0 +1,66 @@
+"""The standard streams of a process, as the shell hands them over: closed, or with an encoding that lacks letters."""
+
+from __future__ import annotations
+
+import codecs
+import os
+import sys
+
+PLAIN = {"β": "beta", "σ": "sigma", "φ": "phi", "ψ": "psi", "γ": "gamma", "…": "...", "−": "-", "–": "-", "—": "-"}
+PLAIN |= {
+    "·": "|",
+    "’": "'",
+    "±": "+-",
+    "²": "^2",
+    "⁻": "^-",
+    "½": "1/2",
+    "₁": "_1",
+    "₂": "_2",
+    "Σ": "sum",
+    "°": " deg",
+}
+PLAIN |= {"─": "-", "│": "|", "╭": "+", "╮": "+", "╰": "+", "╯": "+", "∝": "~", "°": " deg"}
+
+
+def _spell_out(error: UnicodeError) -> tuple[str, int]:
+    """Replaces letters that an encoding lacks by others that mean the same, or by question marks."""
+    assert isinstance(error, UnicodeEncodeError)
+    lacking = error.object[error.start : error.end]
+    return "".join(PLAIN.get(letter, "?") for letter in lacking), error.end
+
+
+codecs.register_error("ear_jax", _spell_out)
+
+
+def open_streams() -> None:
+    """Makes the standard streams usable.
+
+    A closed one becomes the null device, so that no file that is opened later gets its number. On a closed stdout every
+    write fails, because results would be lost. Letters that the encoding lacks are spelt out.
+    """
+    for number, mode in ((0, os.O_RDONLY), (1, os.O_RDONLY), (2, os.O_WRONLY)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, mode)  # takes the lowest free number, which is this one
+    if sys.stdout is None:
+        sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    if sys.stderr is None:
+        sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
+    for stream in (sys.stdout, sys.stderr):
+        if not (stream.encoding or "").lower().startswith("utf") and hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="ear_jax")
+
+
+def flush_results() -> str | None:
+    """Flushes stdout; returns why it cannot be written, "" if its reader has left, and None if all is written."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        reason = ""
+    except OSError as error:
+        reason = error.strerror or str(error)
+    else:
+        return None
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is not tried again at exit
+    return reason
