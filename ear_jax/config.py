@@ -153,6 +153,10 @@ class LogConfig:
     """Epochs per block; each block ends with an evaluation and a row of metrics per seed."""
     episodes: int = 3
     """Evaluation episodes per task."""
+    tensorboard: bool = False
+    """Copy the metrics to event files in the run's directory, for TensorBoard."""
+    wandb: bool = False
+    """Copy the metrics to Weights & Biases (pip install 'ear-jax[wandb]'); works offline with WANDB_MODE=offline."""
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ import tyro
 from ear_jax.cli.arguments import HELP, option, parse
 from ear_jax.cli.closing import say_next, say_summary
 from ear_jax.config import Config, flat
-from ear_jax.errors import UsageError, known_name
+from ear_jax.errors import RunError, UsageError, known_name
 from ear_jax.limits import check
 from ear_jax.names import ENGINES, FAMILIES, METHODS, family_name
 from ear_jax.presets import check_effect, draft_config, parts, preset_config
 from ear_jax.process.environment import start_jax
-from ear_jax.process.terminal import results_only, sign_of_life
+from ear_jax.process.terminal import results_only, say, sign_of_life
 from ear_jax.runs import records
 from ear_jax.runs.directory import check_place, default_directory
 
@@ -48,9 +48,15 @@ def main(words: list[str]) -> None:
 
 def train(config: Config, directory: Path) -> None:
     """Trains a run, and tells at the end how it went and what can be done with it."""
+    from ear_jax.process.stopping import Stopped
     from ear_jax.runs.loop import train_run
 
-    train_run(config, directory)
+    try:
+        train_run(config, directory)
+    except Stopped:
+        draw_curves(directory)
+        raise
+    draw_curves(directory)
     rows = records.read_rows(directory / "metrics.jsonl")
     if not rows:
         return
@@ -61,6 +67,17 @@ def train(config: Config, directory: Path) -> None:
         (f"render {run}{own} --task {shlex.quote(next(iter(rows[-1]['returns'])))}", "a film of the robot"),
         (f"export {run}{own} {shlex.quote(directory.name)}.safetensors", "its policy in one file"),
     )
+
+
+def draw_curves(directory: Path) -> None:
+    """Draws the curves of a run that trained, unless it has them already; a failure is a warning."""
+    from ear_jax.figures.train import draw_train
+
+    try:
+        for path in draw_train(directory):
+            say(f"curves: {path}")
+    except (UsageError, RunError) as error:
+        say(f"warning: the training curves were not drawn: {error}")
 
 
 def print_estimate(config: Config, directory: Path) -> None:

@@ -39,7 +39,7 @@ def look(index: int) -> dict[str, Any]:
 
 
 def save_figure(figure: Figure, path: Path, **options: Any) -> Path:
-    """Writes a figure as PNG and closes it; returns the path.
+    """Writes a figure, as PNG unless `format` is given, and closes it; returns the path.
 
     Args:
       figure: a figure of pyplot.
@@ -51,7 +51,7 @@ def save_figure(figure: Figure, path: Path, **options: Any) -> Path:
     """
     try:
         with replace_file(path) as scratch:
-            figure.savefig(scratch, format="png", **options)
+            figure.savefig(scratch, **{"format": "png", **options})
     finally:
         plt.close(figure)
     return path

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ear_jax.tasks import TaskSet
 
 # Settings that may change when a run is continued, as they do not affect what an epoch computes.
-MAY_CHANGE = ("epochs", "minutes", "engine", "checkpoint.blocks", "checkpoint.replay")
+MAY_CHANGE = ("epochs", "minutes", "engine", "checkpoint.blocks", "checkpoint.replay", "log.tensorboard", "log.wandb")
 # Files that a process leaves if it is killed before it wrote config.json.
 UNSTARTED = {"lock", "config.json.part"}
 

@@ -31,6 +31,7 @@ from ear_jax.runs.failure import failed, find_failure
 from ear_jax.runs.lock import lock_directory
 from ear_jax.runs.seeds import seed_sharding
 from ear_jax.runs.side_by_side import differing, join, members, of_run
+from ear_jax.runs.tracking import tracking
 from ear_jax.runs.training import Program, TrainState
 
 
@@ -41,6 +42,7 @@ class Run:
     config: Config
     directory: Path
     about: dict[str, Any] = field(default_factory=dict)  # the document of its config.json and checkpoints
+    track: Callable[[list[dict[str, Any]]], None] = lambda _: None  # copies rows of metrics elsewhere
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ def train_runs(runs: Sequence[Run]) -> None:
         for run in runs:
             _write_settings(run.directory / "config.json", run.about)
             records.keep_rows(run.directory / "metrics.jsonl", progress.epoch)
+        runs = [replace(run, track=held.enter_context(tracking(run.directory, run.config, say))) for run in runs]
         say(header(replace(program, config=runs[0].config), _place(runs)))
         keys = jnp.concatenate([training.seed_keys(run.config) for run in runs])
         with phase("compiling"):
@@ -222,6 +225,7 @@ def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: in
         say(f"warning: {failure}; the other runs go on")
     else:
         records.append_rows(run.directory / "metrics.jsonl", rows)
+        run.track(rows)
 
 
 def _save(run: Run, state: TrainState, last: bool) -> None:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from ear_jax.runs.statistics import interquartile_mean
 from experiments.paper import CHEETAH, COMPOSED, MET, RUN_JUMP, Analysis, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.formatting import MISSING, NAMES, interval, lack, number, percent, printed, spread
 from experiments.report.measures import difference, unit
 from experiments.report.run_index import Run, RunIndex
-from experiments.statistics import interquartile_mean
 
 Column = Mapping[Any, str]  # a seed's cells by the key of their row
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ear_jax.runs.statistics import bootstrap_interval
 from experiments.paper import Method
-from experiments.statistics import bootstrap_interval
 
 MISSING = "—"
 NO_RUN = "—, no run yet"

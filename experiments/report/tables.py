@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
 from ear_jax.envs import Family
 from ear_jax.envs.reach import NEAR
+from ear_jax.runs.statistics import interquartile_mean, probability_of_improvement
 from experiments.paper import ANT, EXPERIMENTS, FAMILIES, REACH, WIDE, Method, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.formatting import (
@@ -38,7 +39,6 @@ from experiments.report.measures import (
     successes,
 )
 from experiments.report.run_index import Run, RunIndex
-from experiments.statistics import interquartile_mean, probability_of_improvement
 
 MEASURES = {"mid_task": "mid-task", "one_to_one": "1:1"}
 HEADS = ("ours", "IQM [95 %]", "P(EAR better) [95 %]", "seeds", "env steps", "updates", "minutes")

@@ -42,8 +42,10 @@ def finished_config(**changes: object) -> Config:
 
 
 def compiled(config: Config) -> Compiled:
-    """Returns the compiled program of a configuration; the seed and the length of a run do not change it."""
-    return _compiled(dataclasses.replace(config, seed=0, epochs=1, minutes=None, checkpoint=CheckpointConfig()))
+    """Returns the compiled program of a configuration; seed, length and logs do not change it."""
+    log = dataclasses.replace(config.log, tensorboard=False, wandb=False)
+    same = {"seed": 0, "epochs": 1, "minutes": None, "log": log, "checkpoint": CheckpointConfig()}
+    return _compiled(dataclasses.replace(config, **same))
 
 
 @functools.cache

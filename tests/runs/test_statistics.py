@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.statistics import bootstrap_interval, interquartile_mean, probability_of_improvement
+from ear_jax.runs.statistics import bootstrap_interval, interquartile_mean, probability_of_improvement
 
 
 def mean(scores: np.ndarray) -> np.ndarray:

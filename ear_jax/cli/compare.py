@@ -1,0 +1,82 @@
+"""`ear compare RUN RUN`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from ear_jax.cli.arguments import option, parse
+from ear_jax.cli.plot import PLOTS
+from ear_jax.cli.results import print_result
+from ear_jax.errors import UsageError
+from ear_jax.figures.compare import draw_compare
+from ear_jax.figures.formats import check_format
+from ear_jax.runs.comparison import compare
+from ear_jax.runs.groups import two_groups
+
+
+@dataclass(frozen=True)
+class CompareCommand:
+    """Compare two runs, or two groups of runs: settings that differ, returns, and how often one beats the other."""
+
+    runs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN [RUN ...]")]]
+    """Two run directories; or, with --against, all runs of the first group."""
+    against: Annotated[tuple[Path, ...], option("[RUN ...]", "the second run")] = ()
+    """The runs of the second group."""
+    out: Annotated[Path | None, option("FILE", "plots/ONE_against_OTHER.png")] = None
+    """The figure's file; its ending is the format: .png, .svg or .pdf."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(CompareCommand, words, "compare")
+    if command.out is not None:
+        check_format(command.out)
+    if not command.runs or (not command.against and len(command.runs) != 2):
+        raise UsageError("give two runs, or the runs of the second group after --against")
+    ours, theirs = (command.runs, command.against) if command.against else (command.runs[:1], command.runs[1:])
+    document = compare(*two_groups(ours, theirs))
+    file = command.out or PLOTS / f"{ours[0].name}_against_{theirs[0].name}.png"
+    pictures = draw_compare([file], document)
+    print_result(document, pictures, command.json, _print)
+
+
+def _print(document: dict[str, Any]) -> None:
+    console = Console(highlight=False)
+    first, second = document["groups"]
+    if document["settings"]:
+        table = Table(title="settings that differ", title_justify="left")
+        for heading in ("setting", first["name"], second["name"]):
+            table.add_column(heading, overflow="fold")
+        for setting in document["settings"]:
+            table.add_row(setting["name"], *map(str, setting["values"]))
+        console.print(table)
+    else:
+        console.print("settings: equal, apart from seeds")
+    table = Table(title=f"returns, from {document['returns_from']}", title_justify="left")
+    for heading in ("", first["name"], second["name"]):
+        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
+    for name in ("mean", "interquartile_mean"):
+        table.add_row(name.replace("_", " "), *(_with_interval(group[name], ".1f") for group in (first, second)))
+    for name in ("seeds", "updates", "env_steps", "minutes"):
+        table.add_row(name.replace("_", " "), *(_numbers(group[name]) for group in (first, second)))
+    console.print(table)
+    chance = _with_interval(document["probability_of_improvement"], ".2f")
+    console.print(f"On the same task, a seed of {first['name']} beats a seed of {second['name']}: probability {chance}")
+    if not document["probability_of_improvement"]["interval"]:
+        console.print("Intervals need at least two seeds of each.")
+
+
+def _with_interval(entry: dict[str, Any], form: str) -> str:
+    interval = f" [{entry['interval'][0]:{form}}, {entry['interval'][1]:{form}}]" if entry["interval"] else ""
+    return f"{entry['value']:{form}}{interval}"
+
+
+def _numbers(value: Any) -> str:
+    return " / ".join(f"{one:,}" for one in (value if isinstance(value, list) else [value]))

@@ -1,0 +1,63 @@
+"""`ear plot RUN…`."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ear_jax.cli.arguments import option, parse
+from ear_jax.cli.results import print_pictures
+from ear_jax.errors import UsageError
+from ear_jax.figures.formats import check_format
+from ear_jax.figures.plot import draw_plot
+from ear_jax.runs.groups import Group, group, read
+
+PLOTS = Path("plots")
+
+
+@dataclass(frozen=True)
+class PlotCommand:
+    """Draw the training curves of runs. Runs that differ only in their seeds are one curve with a band."""
+
+    runs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN [RUN ...]")]]
+    """Run directories."""
+    metric: str = "mean_return"
+    """A metric of `metrics.jsonl`, such as entropy, or a task, such as vel-2; an unknown name lists all."""
+    by: Literal["updates", "steps", "minutes"] = "updates"
+    """The horizontal axis: updates, env steps or minutes of wall time."""
+    out: Annotated[Path | None, option("FILE", "plots/NAMES_METRIC_by_AXIS, as .png and .svg")] = None
+    """The file; its ending is the format: .png, .svg or .pdf."""
+    json: bool = False
+    """Print one JSON document and nothing else."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(PlotCommand, words, "plot")
+    if command.out is not None:
+        check_format(command.out)
+    if not command.runs:
+        raise UsageError("name at least one run")
+    groups = group([read(path) for path in dict.fromkeys(command.runs)])
+    paths = draw_plot(_files(command, groups), groups, command.metric, command.by)
+    if command.json:
+        curves = [
+            {"name": one.name, "runs": [str(run.path) for run in one.runs], "seeds": len(one.seeds)} for one in groups
+        ]
+        files = [str(path) for path in paths]
+        print(json.dumps({"metric": command.metric, "by": command.by, "curves": curves, "figures": files}))
+    else:
+        print_pictures(paths)
+
+
+def _files(command: PlotCommand, groups: list[Group]) -> list[Path]:
+    if command.out is not None:
+        return [command.out]
+    names = [Path(one.name).name for one in groups]
+    named = "_".join(names) if len(names) < 3 else f"{names[0]}_and_{len(names) - 1}_more"
+    stem = re.sub(r"[^\w.+-]+", "_", f"{named}_{command.metric}_by_{command.by}")
+    return [PLOTS / f"{stem}.png", PLOTS / f"{stem}.svg"]

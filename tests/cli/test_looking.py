@@ -1,0 +1,88 @@
+"""`ear plot` and `ear compare`: figures and documents of runs that exist, without JAX."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from ear_jax.cli.main import main
+from ear_jax.figures.train import draw_train
+from tests.helpers.records_of import write_records
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for seed in range(2):
+        write_records(tmp_path / f"ear-seed{seed}", {seed: [{"vel-1": seed + step} for step in range(3)]})
+    write_records(tmp_path / "onehot-seeds0-1", {seed: [{"vel-1": -1}] * 2 for seed in range(2)}, agent="onehot")
+    return tmp_path
+
+
+def test_runs_are_plotted_with_seeds_as_bands(runs, capsys):
+    words = ["plot", "ear-seed0", "ear-seed1", "onehot-seeds0-1", "--metric", "vel-1", "--by", "minutes"]
+    assert main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [(curve["name"], curve["seeds"]) for curve in document["curves"]] == [("ear", 2), ("onehot", 2)]
+    png, svg = (runs / file for file in document["figures"])
+    assert png.read_bytes().startswith(b"\x89PNG")
+    assert "minutes" in png.name
+    text = svg.read_text()
+    assert "<svg" in text
+    assert "wall time (min)" in text  # in a comment, as text is drawn as paths
+    assert main(words) == 0
+    assert svg.read_text() == text
+
+
+def test_two_groups_are_compared(runs, capsys):
+    words = ["compare", "ear-seed0", "ear-seed1", "--against", "onehot-seeds0-1"]
+    assert main([*words, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["probability_of_improvement"]["value"] == 1.0
+    assert (runs / document["figures"][0]).stat().st_size > 5_000
+    assert main(words) == 0
+    assert "a seed of ear beats a seed of onehot: probability 1.00 [1.00, 1.00]" in " ".join(
+        capsys.readouterr().out.split()
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("plot", "name at least one run"),
+        ("plot nowhere", "not a run directory"),
+        ("plot ear-seed0 --metric entropi", "did you mean 'entropy'"),
+        ("plot ear-seed0 --by epoch", "--by takes updates, steps or minutes"),
+        ("plot ear-seed0 --out plot.bmp", "must end in .png, .svg or .pdf"),
+        ("compare", "give two runs"),
+        ("compare ear-seed0", "give two runs"),
+        ("compare ear-seed0 ear-seed0", "is given twice"),
+        ("log ear-seed0", "--tensorboard, --wandb or both"),
+        ("log nowhere --tensorboard", "not a run directory"),
+    ],
+)
+def test_mistakes_are_one_line_and_write_nothing(words, complaint, runs, capsys):
+    assert main(words.split()) == 2
+    error = capsys.readouterr().err
+    assert complaint in error
+    assert error.count("\n") == 1
+    assert not (runs / "plots").exists()
+
+
+def test_a_run_is_drawn_once_for_its_last_row(runs):
+    run = runs / "ear-seed0"
+    (picture,) = draw_train(run)
+    assert picture == run / "figures" / "training.png"
+    assert draw_train(run) == []
+    picture.unlink()
+    assert draw_train(run) == [picture]
+
+
+def test_looking_at_runs_needs_no_jax():
+    modules = ("cli.plot", "cli.compare", "cli.log", "figures.train")
+    code = f"import sys, {', '.join(f'ear_jax.{name}' for name in modules)}; print('jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
