@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from operator import itemgetter
 from typing import Any
 
@@ -39,11 +40,10 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
     program = trained.program
     config, count = program.config, program.config.seeds
     keys = evaluation_keys(jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), jnp.arange(count)), 0)
-    play_all = jax.jit(
-        jax.vmap(lambda policy, key: training.evaluate(program, policy, key, episodes)),
-        compiler_options=compiler_options(),
-    )
-    played = jax.device_get(play_all(trained.policies, keys))
+    options = compiler_options()
+    start = jax.jit(jax.vmap(lambda key: training.evaluation_starts(program, key, episodes)), compiler_options=options)
+    play_all = jax.jit(jax.vmap(partial(training.evaluate_from, program)), compiler_options=options)
+    played = jax.device_get(play_all(trained.policies, start(keys)))
     seeds = [
         _describe_seed(program, config.seed + index, jax.tree.map(itemgetter(index), played)) for index in range(count)
     ]

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import mujoco
 
+from ear_jax.envs.environment import Env, State
 from ear_jax.envs.symmetry import Symmetry
 from ear_jax.errors import UsageError
 from ear_jax.physics import Motion, Physics, make_engine
 from ear_jax.physics.models import load_model
-from ear_jax.process.silent_imports import Env, State
 from ear_jax.tasks import Task, TaskParams, TaskSet
 
 Outcome = dict[str, jax.Array]
@@ -150,7 +151,8 @@ class Family(Env):
     def step(self, state: State, action: jax.Array) -> State:
         motion = self.engine.step(*self.actuate(state.pipeline_state, action))
         outcome, obs = self.outcome(motion), self.observe(motion.after)
-        return state.replace(
+        return replace(
+            state,
             pipeline_state=motion.after,
             obs=jnp.concatenate([state.obs[len(obs) :], obs]),
             reward=self.reward(outcome, state.info["task"]),

@@ -10,21 +10,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ear_jax.envs.as_brax import register_with_brax
 from ear_jax.envs.family import Family
 from ear_jax.envs.user_code import source_file, user_code
 from ear_jax.envs.validation import check_class, check_family, check_task
 from ear_jax.errors import UsageError, unknown
 from ear_jax.names import FAMILY_FILES, family_name, name_of, offered_families
 from ear_jax.physics import choose_engine
-from ear_jax.process.silent_imports import register_environment
 from ear_jax.tasks import Task
 
 FAMILIES: dict[str, type[Family]] = {
     name_of(file): importlib.import_module(f"{__package__}.{file}").FAMILY for file in FAMILY_FILES
 }
 
-for _name, _family in FAMILIES.items():
-    register_environment("ear_" + _name.replace("-", "_"), _family)
+register_with_brax({"ear_" + name.replace("-", "_"): family for name, family in FAMILIES.items()})
 
 
 def find_family(name: str) -> type[Family]:

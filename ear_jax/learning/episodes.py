@@ -8,7 +8,7 @@ from flax import struct
 
 from ear_jax.agents import Agent
 from ear_jax.agents.networks import Params
-from ear_jax.envs.batched_env import BatchedEnv, Transition
+from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
 from ear_jax.envs.family import Family, Outcome
 from ear_jax.learning.rollout import act_with, first_episode, rollout, score
 from ear_jax.tasks import TaskParams
@@ -45,16 +45,36 @@ def play(
       episodes: episodes per row.
       explore: sample actions instead of taking tanh of the policy's mean.
     """
-    rows, steps = codes.shape[0], family.episode_length
-    key_start, key_noise = jax.random.split(key)
-    env_states = BatchedEnv(family).start(key_start, tasks, episodes)
-    shape = (steps, rows, episodes, family.action_size)
-    noise = jax.random.normal(key_noise, shape) if explore else jnp.zeros(shape)
+    shape = (family.episode_length, codes.shape[0], episodes, family.action_size)
+    noise = jax.random.normal(jax.random.split(key)[1], shape) if explore else jnp.zeros(shape)
+    return play_from(family, agent, policy, codes, tasks, starts(family, tasks, key, episodes), noise)
+
+
+def starts(family: Family, tasks: TaskParams, key: jax.Array, episodes: int) -> EnvState:
+    """Draws the starts of `play`, [rows, episodes].
+
+    On the native engine JAX can cache this program, which takes as long to compile as the episodes themselves.
+    """
+    return BatchedEnv(family).start(jax.random.split(key)[0], tasks, episodes)
+
+
+def play_from(
+    family: Family,
+    agent: Agent,
+    policy: Params,
+    codes: jax.Array,
+    tasks: TaskParams,
+    env_states: EnvState,
+    noise: jax.Array,
+) -> Episodes:
+    """Plays whole episodes from given starts [rows, episodes] as `play` does; noise [steps, rows, episodes, act]."""
+    steps = len(noise)
 
     def record(transition: Transition) -> tuple[Outcome, jax.Array, jax.Array]:
         return transition.outcome, transition.terminated, transition.valid
 
-    _, (outcome, failed, valid) = rollout(BatchedEnv(family), act_with(agent, policy, codes), env_states, noise, record)
+    act = act_with(agent, policy, codes)
+    _, (outcome, failed, valid) = rollout(BatchedEnv(family, resets=False), act, env_states, noise, record)
     playing = first_episode(failed | ~valid) & valid  # [steps, rows, episodes]
     lengths = jnp.sum(playing, axis=0)
     reward = score(family, outcome, tasks, axis=1)

@@ -7,7 +7,6 @@ import mujoco
 
 from ear_jax.errors import RunError, known_name, unknown
 from ear_jax.names import ENGINES
-from ear_jax.physics.mjx import MjxEngine
 from ear_jax.physics.native import NativeEngine
 from ear_jax.physics.state import Engine
 
@@ -50,6 +49,8 @@ def make_engine(
     name = choose_engine(name)
     if name == "native":
         return NativeEngine(model, substeps, body_ids)
+    from ear_jax.physics.mjx import MjxEngine  # MJX takes two seconds to import
+
     return MjxEngine(model, substeps, body_ids, mjx_solver, name)
 
 

@@ -10,8 +10,6 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from ear_jax.process.silent_imports import mjx
-
 _matmul = partial(jnp.matmul, precision="highest")  # a GPU's default rounds mantissas to 10 bits
 
 
@@ -23,6 +21,8 @@ def body_positions(model: mujoco.MjModel, body_ids: list[int]) -> Callable[[jax.
     """
     if not body_ids:
         return lambda qpos: jnp.zeros((0, 3))
+    from ear_jax.process.silent_imports import mjx
+
     on_device, blank = mjx.put_model(model, impl="jax"), mjx.make_data(model, impl="jax")
     rows = jnp.asarray(body_ids, jnp.int32)
     return lambda qpos: mjx.kinematics(on_device, blank.replace(qpos=qpos)).xpos[rows]

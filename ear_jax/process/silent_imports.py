@@ -1,4 +1,7 @@
-"""Imports whose output is discarded: MuJoCo XLA reports on stdout that Warp is missing, which would corrupt JSON."""
+"""MuJoCo XLA, imported without its output: it reports on stdout that Warp is missing, which would corrupt JSON.
+
+It takes two seconds, so only functions that use it import this module.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,6 @@ import contextlib
 import io
 
 with contextlib.redirect_stdout(io.StringIO()):
-    from brax.envs import register_environment
-    from brax.envs.base import Env, State
     from mujoco import mjx
 
-__all__ = ["Env", "State", "mjx", "register_environment"]
+__all__ = ["mjx"]

@@ -18,13 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import orbax.checkpoint as ocp
 
 from ear_jax.errors import RunError
 from ear_jax.runs import manifest, records
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 
-logging.getLogger("absl").setLevel(logging.CRITICAL)  # Orbax logs every save; failures are also raised
 _default_unraisablehook = sys.unraisablehook
 
 
@@ -38,7 +36,14 @@ def _ignore_closed_loop(unraisable: sys.UnraisableHookArgs) -> None:
         _default_unraisablehook(unraisable)
 
 
-sys.unraisablehook = _ignore_closed_loop
+def _orbax() -> Any:
+    """Returns Orbax, which takes a second to import and which an exported file does without."""
+    import orbax.checkpoint
+
+    logging.getLogger("absl").setLevel(logging.CRITICAL)  # Orbax logs every save; failures are also raised
+    sys.unraisablehook = _ignore_closed_loop
+    return orbax.checkpoint
+
 
 FORMAT = 1
 KEEP = 2  # number of newest steps to keep
@@ -72,6 +77,7 @@ def save(directory: Path, epoch: int, state: Any, about: dict[str, Any]) -> None
         for leftover in directory.glob(".*.part"):  # from processes that were killed
             shutil.rmtree(leftover)
         scratch.mkdir()
+        ocp = _orbax()
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as orbax:
             orbax.save((scratch / "state").absolute(), leaves)
         document = {**about, "format": FORMAT, "epoch": epoch, "leaves": layout(leaves)}
@@ -151,6 +157,7 @@ def restore(step: Step, like: Any, partly: bool = False) -> Any:
     difference = first_difference(layout(wanted), step.about["leaves"], partly)
     if difference:
         raise RunError(f"{step.path} does not fit this run: {difference}")
+    ocp = _orbax()
     arguments = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in wanted}
     request = ocp.args.PyTreeRestore(item=wanted, restore_args=arguments, partial_restore=partly)
     try:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 Leaves = dict[str, Any]  # e.g. learner.policy.networks.encoder.params.Dense_0.kernel → array
@@ -21,7 +20,7 @@ def named_leaves(tree: Any) -> Leaves:
 
 def rebuild(like: Any, leaves: Mapping[str, np.ndarray]) -> Any:
     """Builds a pytree of `like`'s structure from named leaves, on JAX's default device."""
-    arrays = [jnp.asarray(leaves[name]) for name in named_leaves(like)]
+    arrays = [jax.device_put(np.asarray(leaves[name])) for name in named_leaves(like)]
     templates, structure = jax.tree.flatten(like)
     pairs = zip(templates, arrays, strict=True)
     new = [jax.random.wrap_key_data(array) if _is_key(template) else array for template, array in pairs]

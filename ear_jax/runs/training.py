@@ -17,7 +17,7 @@ from ear_jax.config import Config
 from ear_jax.envs import Family, find_task, make_family
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.errors import UsageError
-from ear_jax.learning.episodes import Episodes, play
+from ear_jax.learning.episodes import Episodes, play_from, starts
 from ear_jax.learning.learner import Learner, Metrics
 from ear_jax.limits import check
 from ear_jax.methods import Sizes, find_method, make_agent
@@ -151,5 +151,17 @@ def learn(program: Program, state: TrainState) -> tuple[TrainState, Metrics]:
 
 def evaluate(program: Program, policy: Params, key: jax.Array, episodes: int) -> Episodes:
     """Plays one seed's policy on the training tasks without exploration, [tasks, episodes]."""
+    return evaluate_from(program, policy, evaluation_starts(program, key, episodes))
+
+
+def evaluation_starts(program: Program, key: jax.Array, episodes: int) -> EnvState:
+    """Draws the starts of `evaluate`, [tasks, episodes]."""
+    return starts(program.family, program.tasks.params, key, episodes)
+
+
+def evaluate_from(program: Program, policy: Params, env_states: EnvState) -> Episodes:
+    """Plays one seed's policy as `evaluate` does, from given starts [tasks, episodes]."""
+    family, (rows, episodes) = program.family, env_states.steps.shape
+    noise = jnp.zeros((family.episode_length, rows, episodes, family.action_size))
     codes = program.agent.codes(policy)
-    return play(program.family, program.agent, policy, codes, program.tasks.params, key, episodes)
+    return play_from(family, program.agent, policy, codes, program.tasks.params, env_states, noise)
