@@ -41,7 +41,8 @@ def flags_of(kind: type, where: str = "--", with_switches: bool = True) -> dict[
     hints = get_type_hints(kind, include_extras=True)
     for field in dataclasses.fields(kind):
         plain, notes = _without_notes(hints[field.name])
-        name = where + field.name.replace("_", "-")
+        own = next((note.name for note in notes if getattr(note, "name", None)), field.name)
+        name = where + own.replace("_", "-")
         if tyro.conf.Positional in notes:
             continue
         if dataclasses.is_dataclass(plain):

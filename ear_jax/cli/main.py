@@ -13,6 +13,7 @@ from ear_jax.errors import UsageError, hint, known_name, nearest
 # Module and summary of each; the module, imported only when it is called, has a function main(arguments).
 COMMANDS = {
     "train": ("ear_jax.cli.train", "train a policy on a family of tasks, or continue a run"),
+    "config": ("ear_jax.cli.config", "print the settings of a training command, as a file for `ear train --config`"),
     "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks, or under any task embedding (LTE)"),
     "interpolate": ("ear_jax.cli.interpolate", "blend the LTEs of two tasks, to do what lies between or beyond them"),
     "compose": ("ear_jax.cli.compose", "blend two tasks of different kinds, to do both at once"),
@@ -28,6 +29,7 @@ COMMANDS = {
     "families": ("ear_jax.cli.families", "list the families of tasks"),
     "pretrained": ("ear_jax.cli.pretrained", "list the trained agents that ship with the package"),
     "demo": ("ear_jax.cli.demo", "train a small agent and see it run, or see a pretrained one (--pretrained)"),
+    "completion": ("ear_jax.cli.completion", "print a script that completes commands and flags in a shell"),
     "doctor": ("ear_jax.cli.doctor", "check this installation"),
 }
 

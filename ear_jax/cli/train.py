@@ -15,6 +15,7 @@ import tyro
 from ear_jax.cli.arguments import HELP, option, parse
 from ear_jax.cli.closing import say_next, say_summary
 from ear_jax.config import Config, flat
+from ear_jax.config_files import Settings, read_settings, with_settings
 from ear_jax.errors import RunError, UsageError, known_name
 from ear_jax.limits import check
 from ear_jax.names import ENGINES, FAMILIES, METHODS, family_name
@@ -30,6 +31,10 @@ class TrainCommand:
     """Train a policy on a family of tasks: ear train FAMILY. The same command continues an unfinished run."""
 
     config: Annotated[tyro.conf.FlagConversionOff[Config], tyro.conf.arg(name="")]
+    file: Annotated[Path | None, tyro.conf.arg(name="config", metavar="FILE", help_behavior_hint="(default: none)")] = (
+        None
+    )
+    """Settings from a TOML file, such as `ear config` prints, or from a run's config.json; flags go over them."""
     out: Annotated[Path | None, option("DIRECTORY", "runs/FAMILY-AGENT-PRESET-seedN")] = None
     """The run directory."""
     dry_run: bool = False
@@ -107,24 +112,31 @@ def print_estimate(config: Config, directory: Path) -> None:
 
 
 def read(words: list[str]) -> TrainCommand:
-    """Parses the command line, over the settings of the preset and the agent that it names.
+    """Parses the command line, over the settings of the file, the preset and the agent that it names.
 
     Mistyped names, options and values are refused before JAX is imported, over a draft of these settings.
     """
-    family, rest = _family(words)
+    file = _option(words, "--config", "")
+    settings = read_settings(Path(file).expanduser()) if file else {}
+    family, rest = _family(words, settings)
     rest = _known(rest, "--agent", lambda name: known_name("agent", name, METHODS))
     rest = _known(rest, "--engine", lambda name: known_name("engine", name, ("auto", *ENGINES)))
     rest = _known(rest, "--preset", lambda name: "+".join((parts(name)[0], *parts(name)[1])))
-    preset, agent = _option(rest, "--preset", "fast"), _option(rest, "--agent", "ear")
+    preset = _option(rest, "--preset", settings.get("preset", "fast"))
+    agent = _option(rest, "--agent", settings.get("agent", "ear"))
+    if preset != settings.get("preset", preset):
+        raise UsageError(f"--preset {preset} does not go with {file}, whose settings are those of {settings['preset']}")
+    settings = {**settings, "family": family, "agent": agent}
     drafted = (family, agent) == (FAMILIES[0], "ear")  # whose presets are as drafted
     if drafted or not set(HELP) & set(rest):
-        draft = parse(TrainCommand, [family, *rest], "train", TrainCommand(draft_config(family, preset, agent)))
-        check(draft.config)
-        check_place(draft.out or default_directory(draft.config))
+        draft = draft_config(family, preset, agent)
+        command = parse(TrainCommand, [family, *rest], "train", TrainCommand(with_settings(draft, settings)))
+        check(command.config)
+        check_place(command.out or default_directory(command.config))
     with sign_of_life("loading"):
         start_jax()
         base = preset_config(family, preset, agent)
-    return parse(TrainCommand, [family, *rest], "train", TrainCommand(base))
+    return parse(TrainCommand, [family, *rest], "train", TrainCommand(with_settings(base, settings)))
 
 
 def _known(words: list[str], name: str, known: Callable[[str], str]) -> list[str]:
@@ -150,10 +162,12 @@ def _option(words: list[str], name: str, default: str) -> str:
     return value
 
 
-def _family(words: list[str]) -> tuple[str, list[str]]:
-    """Splits the words into the family, which comes first, and the rest."""
+def _family(words: list[str], settings: Settings) -> tuple[str, list[str]]:
+    """Splits the words into the family, which comes first unless a file of settings names it, and the rest."""
     if words and words[0] in HELP:
         return FAMILIES[0], words
+    if (not words or words[0].startswith("-")) and "family" in settings:
+        return family_name(settings["family"]), words
     if not words or words[0].startswith("-"):
         raise UsageError(f"name a family first: ear train FAMILY (there are: {', '.join(sorted(FAMILIES))})")
     return family_name(words[0]), words[1:]

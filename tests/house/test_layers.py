@@ -15,6 +15,7 @@ ORDER = (
     "errors",
     "names",
     "config",
+    "config_files",
     "limits",
     "tasks",
     "files",
