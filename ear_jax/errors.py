@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import traceback
 from collections.abc import Iterable
@@ -80,13 +81,27 @@ def _neighbours(word: str, known: list[str]) -> list[str]:
     return [*sorted(below, key=values.__getitem__)[-1:], *sorted(above, key=values.__getitem__)[:1]]
 
 
-USER_FILES: set[str] = set()  # files of families from outside this package
+USER_FILES: set[str] = set()  # that define families from outside this package
 
 
 def user_fault(error: BaseException) -> str | None:
     """Returns one line about an error that a user's file raised, with its last line there; None for other errors."""
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename in USER_FILES]
-    if not frames:
-        return None
-    message = next(iter(f"{type(error).__name__}: {error}".splitlines())).removesuffix(": ")
-    return f"{message} ({frames[-1].filename}, line {frames[-1].lineno}, in {frames[-1].name})"
+    place = user_place(error)
+    return None if place is None else f"{first_line(error)}{place}"
+
+
+def user_place(error: BaseException) -> str | None:
+    """Returns the last line of a user's code that an error came through, as ` (fam.py, line 3, in reward)`.
+
+    A user's code is the files of families from outside this package and their neighbours; None if the error did not
+    come through any.
+    """
+    folders = {os.path.dirname(file) for file in USER_FILES}
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if os.path.dirname(frame.filename) in folders]
+    return f" ({os.path.basename(own[-1].filename)}, line {own[-1].lineno}, in {own[-1].name})" if own else None
+
+
+def first_line(error: BaseException) -> str:
+    """Returns an error's type and the first line of its message."""
+    return f"{type(error).__name__}: {error}".splitlines()[0].removesuffix(": ")

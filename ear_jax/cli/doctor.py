@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import ctypes.util
+import importlib.util
 import json
+import shutil
 import sys
 from dataclasses import dataclass
 from typing import Any
 
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import RunError
+from ear_jax.process import environment
+from ear_jax.process.terminal import sign_of_life
 from ear_jax.runs import records
 
 
 @dataclass(frozen=True)
 class DoctorCommand:
-    """Check this installation. The exit code is 1 if its versions are known not to work together."""
+    """Check this installation and its environment variables. The exit code is 1 if they do not work together.
+
+    Example: ear doctor --json
+    """
 
     json: bool = False
     """Print one JSON document and nothing else."""
@@ -24,8 +31,12 @@ class DoctorCommand:
 def main(words: list[str]) -> None:
     command = parse(DoctorCommand, words, "doctor")
     versions = records.versions()
+    findings = records.provenance()
     problems = known_bad(versions, sys.version_info[:2])
-    findings = {**records.provenance(), **({} if problems else _running()), "problems": problems}
+    with sign_of_life("starting JAX and MuJoCo"):
+        problems = problems or environment.problems()
+        findings |= {} if problems else _running()
+    findings |= {"lacking": lacking(), "problems": problems}
     if command.json:
         print(json.dumps(findings))
     else:
@@ -55,6 +66,23 @@ def known_bad(versions: dict[str, str | None], python: tuple[int, int]) -> list[
     return problems
 
 
+def lacking() -> list[str]:
+    """Lists what is not installed although commands can use it, and what they do without."""
+    found = []
+    if not shutil.which("ffmpeg"):
+        found.append("ffmpeg is not on the PATH, so `ear render` makes GIFs and no MP4s")
+    if _opengl() is None:
+        found.append("no OpenGL, so there are figures but no pictures of the robot; install libegl1 or libosmesa6")
+    if not importlib.util.find_spec("metaworld"):
+        found.append("no metaworld, so the family reach cannot be built; pip install 'ear-jax[reach]'")
+    return found
+
+
+def _opengl() -> str | None:
+    """Returns the library that draws off screen; None if there is none."""
+    return next((name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)), None)
+
+
 def _running() -> dict[str, Any]:
     """Returns the findings that need JAX."""
     import jax
@@ -73,8 +101,8 @@ def _running() -> dict[str, Any]:
         },
         "engine": choose_engine("auto"),
         "compiler_options": compiler_options(),
-        "rendering": next((name for name in ("EGL", "OSMesa") if ctypes.util.find_library(name)), None),
-        "compilation_cache": getattr(jax.config, "jax_compilation_cache_dir", None) or str(cache_dir()),
+        "rendering": _opengl(),
+        "compilation_cache": getattr(jax.config, "jax_compilation_cache_dir", None) or str(cache_dir() or "none"),
     }
 
 
@@ -83,10 +111,8 @@ def _print(findings: dict[str, Any], indent: str = "") -> None:
         if isinstance(value, dict):
             print(f"{indent}{name.replace('_', ' ')}:")
             _print(value, indent + "  ")
-        elif name == "problems":
-            print("problems: " + ("; ".join(value) or "none"))
-        elif name == "rendering" and value is None:
-            print("rendering: none found; figures work, but pictures of the robot need libegl1 or libosmesa6")
+        elif name in ("lacking", "problems"):
+            print(f"{name}: " + ("; ".join(value) or "none"))
         else:
             shown = ", ".join(map(str, value)) if isinstance(value, list) else "none" if value is None else value
             print(f"{indent}{name.replace('_', ' ')}: {shown}")

@@ -12,9 +12,9 @@ from typing import Any
 
 from ear_jax.envs.as_brax import register_with_brax
 from ear_jax.envs.family import Family
-from ear_jax.envs.user_code import source_file, user_code
+from ear_jax.envs.user_code import neighbours, source_file, user_code
 from ear_jax.envs.validation import check_class, check_family, check_task
-from ear_jax.errors import UsageError, unknown
+from ear_jax.errors import USER_FILES, UsageError, unknown
 from ear_jax.names import FAMILY_FILES, family_name, name_of, offered_families
 from ear_jax.physics import choose_engine
 from ear_jax.tasks import Task
@@ -41,6 +41,7 @@ def find_family(name: str) -> type[Family]:
     with user_code(f"family {name!r} cannot be loaded from {offered[name].value}", None):
         kind = offered[name].load()
     check_class(kind, name)
+    USER_FILES.add(source_file(kind) or "")
     return kind
 
 
@@ -106,7 +107,8 @@ def _loaded(path: str, class_name: str, resolved: Path, modified: int) -> type[F
         raise UsageError(f"{path} is not a Python file")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look up their own module
-    with user_code(f"{path} cannot be run", spec.origin):
+    USER_FILES.add(str(spec.origin))
+    with user_code(f"{path} cannot be run", spec.origin), neighbours(str(resolved.parent)):
         spec.loader.exec_module(module)
     if class_name not in vars(module):
         raise unknown("family", class_name, [name for name, kind in vars(module).items() if _is_family(kind)])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import mujoco
 
-from ear_jax.errors import RunError, unknown
+from ear_jax.errors import RunError, UsageError, unknown
 
 
 def package_directory(name: str) -> Path | None:
@@ -28,7 +28,8 @@ def gymnasium_model_path(filename: str) -> Path:
         raise RunError("the models come from the 'gymnasium' package, which is not installed: pip install gymnasium")
     path = package / "envs" / "mujoco" / "assets" / filename
     if not path.is_file():
-        raise unknown("model", filename, [model.name for model in path.parent.glob("*.xml")])
+        error = unknown("model", filename, [model.name for model in path.parent.glob("*.xml")])
+        raise UsageError(f"{error}; for a model of your own, define load() to return its mujoco.MjModel")
     return path
 
 

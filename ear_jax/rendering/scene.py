@@ -15,7 +15,7 @@ from typing import Any, Literal
 import mujoco
 import numpy as np
 
-from ear_jax.errors import RunError, UsageError
+from ear_jax.errors import RunError, UsageError, first_line
 from ear_jax.figures.strip import Bounds
 
 SKY, FLOOR = (214, 228, 240), ((186, 190, 186), (206, 210, 206))  # RGB; the squares of the floor are 2 m wide
@@ -121,7 +121,8 @@ class Canvas:
             self._gl.make_current()
             self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         except Exception as error:  # ImportError, AttributeError or OpenGL's own, depending on the part that is missing
-            raise RunError(WITHOUT_GL.format((str(error) or type(error).__name__).splitlines()[0])) from None
+            variable = f"MUJOCO_GL={os.environ['MUJOCO_GL']}: " if os.environ.get("MUJOCO_GL") else ""
+            raise RunError(WITHOUT_GL.format(variable + first_line(error))) from None
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
 
     def __enter__(self) -> Canvas:

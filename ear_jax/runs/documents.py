@@ -48,7 +48,7 @@ def differences(document: dict[str, Any], program: Program) -> list[str]:
     """Lists differences from the engine and versions that wrote a step, which may change results in the last bit."""
     now = {"engine": program.family.engine.name, **records.versions()}
     before = {"engine": document["engine"], **document["versions"]}
-    return [f"{name} was {before.get(name)}, is {value}" for name, value in now.items() if before.get(name) != value]
+    return [f"{name} was {before[name]}, is {value}" for name, value in now.items() if before.get(name, value) != value]
 
 
 def rows_of(

@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import ear_jax
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.documents import read_json, write_json
 from ear_jax.files.replacing import folder, write_text
@@ -65,7 +66,7 @@ def provenance() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str | None]:
-    """Returns the installed versions of the packages that results depend on; None for a missing one."""
+    """Returns the versions of this package and of those that results depend on; None for a missing one."""
 
     def version(package: str) -> str | None:
         try:
@@ -73,7 +74,7 @@ def versions() -> dict[str, str | None]:
         except importlib.metadata.PackageNotFoundError:
             return None
 
-    return {package: version(package) for package in PACKAGES}
+    return {"ear_jax": ear_jax.__version__, **{package: version(package) for package in PACKAGES}}
 
 
 def commit() -> str | None:

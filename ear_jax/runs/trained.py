@@ -151,6 +151,7 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
             f"tasks, in the order of the code table: {', '.join(program.tasks.names)}",
             f"trained for {trained.epoch} epochs, {program.env_steps(trained.collected):,} env steps and "
             f"{trained.epoch * config.sac.updates:,} updates per seed{mean_return}",
+            f"ear_jax {versions.get('ear_jax', 'of an unknown version')}, "
             f"engine {about['engine']}, mujoco {versions.get('mujoco')}, jax {versions.get('jax')}, "
             f"commit {about.get('commit')}",
             "policy.* are the networks' parameters [seeds, …], codes the table [seeds, tasks, code]",
