@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import reprlib
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_type_hints
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typeguard
 import tyro
@@ -13,6 +13,11 @@ import tyro
 from ear_jax.errors import UsageError, unknown
 
 MAX_SEED = 2**31  # JAX takes seeds as int32
+
+
+def _given(metavar: str, default: str) -> Any:
+    """Describes a setting for `--help`: the name of its value, and in words what holds if none is given."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
 @dataclass(frozen=True)
@@ -139,9 +144,9 @@ class ReplayConfig:
 class EnvConfig:
     """Options of single families."""
 
-    lateral_weight: float | None = None
+    lateral_weight: Annotated[float | None, _given("FLOAT", "0")] = None
     """Ant-Dir: weight of the penalty on lateral speed (the authors' code: 0, the paper's text: 1)."""
-    jump_height: Literal["hind_foot", "torso"] | None = None
+    jump_height: Annotated[Literal["hind_foot", "torso"] | None, _given("{hind_foot,torso}", "hind_foot")] = None
     """HalfCheetah-Run-Jump: body whose height is rewarded (the paper: hind foot, the authors' code: torso)."""
 
 
@@ -173,13 +178,13 @@ class CheckpointConfig:
 class Config:
     """All settings of a training run."""
 
-    family: tyro.conf.Positional[str]
+    family: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FAMILY")]]
     """Task family: a name from `ear families`, or path/to/file.py:ClassName."""
-    preset: str = "fast"
+    preset: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "fast"
     """paper, fast or smoke, optionally with variants: +no-noise, +no-norm, +task-hidden, +wide, +gathered."""
-    agent: str = "ear"
-    """Name of the method: ear is the paper's, and an unknown name lists all methods."""
-    engine: str = "auto"
+    agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "ear"
+    """The method: ear, which is the paper's, ear-rnn, multihead, onehot, onehot-blind, pearl or maml."""
+    engine: Annotated[str, tyro.conf.arg(metavar="ENGINE")] = "auto"
     """Physics engine: auto, native (CPU), mjx, or warp (NVIDIA GPUs; pip install 'ear-jax[warp]')."""
     seed: int = 0
     """First seed."""
@@ -187,9 +192,9 @@ class Config:
     """Number of seeds trained together: seed, seed + 1, …"""
     epochs: int = 4000
     """Total epochs, including those before a continuation."""
-    minutes: float | None = None
+    minutes: Annotated[float | None, _given("FLOAT", "no limit")] = None
     """Total minutes of wall time, including those before a continuation; the run stops after that block."""
-    tasks: tuple[str, ...] = ()
+    tasks: Annotated[tuple[str, ...], _given("[TASK ...]", "the paper's")] = ()
     """Training tasks by name, such as 2 or vel-2; the paper's by default."""
     env: EnvConfig = field(default_factory=EnvConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)

@@ -105,3 +105,8 @@ def user_place(error: BaseException) -> str | None:
 def first_line(error: BaseException) -> str:
     """Returns an error's type and the first line of its message."""
     return f"{type(error).__name__}: {error}".splitlines()[0].removesuffix(": ")
+
+
+def plain(text: str) -> str:
+    """Returns a text whose control characters, which a terminal would obey, are spelt out."""
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)

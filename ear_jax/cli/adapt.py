@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, plain, print_result, print_table
+from ear_jax.cli.results import keep, print_result, print_table
 from ear_jax.embeddings import ltes
-from ear_jax.errors import UsageError
+from ear_jax.errors import UsageError, plain
 from ear_jax.process.terminal import phase
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ class AdaptCommand(OnRun):
     """Find task embeddings (LTEs) for tasks never trained on, by search and from a map of the LTE sphere.
 
     PEARL infers from episodes of the task, and MAML takes gradient steps, instead of a search.
+
+    Example: ear adapt pretrained:halfcheetah-vel --target 3.6 --save trot
     """
 
     target: Annotated[tuple[str, ...], option("[TASK ...]", "the family's adaptation tasks")] = ()

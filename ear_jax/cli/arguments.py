@@ -66,6 +66,11 @@ def option(metavar: str, default: str = "none") -> Any:
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
+def required(metavar: str) -> Any:
+    """Describes for `--help` values of which at least one is needed."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint="(required)")
+
+
 def check_finite(flag: str, *values: float) -> None:
     """Raises UsageError unless all numbers given to a flag are finite."""
     if not all(map(math.isfinite, values)):

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax.cli.arguments import option, parse
+from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.plot import PLOTS
 from ear_jax.cli.results import print_result
 from ear_jax.errors import UsageError
@@ -22,9 +22,12 @@ from ear_jax.runs.groups import two_groups
 
 @dataclass(frozen=True)
 class CompareCommand:
-    """Compare two runs, or two groups of runs: settings that differ, returns, and how often one beats the other."""
+    """Compare two runs, or two groups of runs: settings that differ, returns, and how often one beats the other.
 
-    runs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN [RUN ...]")]]
+    Example: ear compare runs/halfcheetah-vel-ear-fast-seed0 runs/halfcheetah-vel-multihead-fast-seed0
+    """
+
+    runs: tyro.conf.Positional[Annotated[tuple[Path, ...], required("RUN [RUN ...]")]]
     """Two run directories; or, with --against, all runs of the first group."""
     against: Annotated[tuple[Path, ...], option("[RUN ...]", "the second run")] = ()
     """The runs of the second group."""

@@ -15,7 +15,10 @@ from ear_jax.cli.arguments import parse
 
 @dataclass(frozen=True)
 class CompletionCommand:
-    """Print a script that completes commands and flags: for bash, eval "$(ear completion bash)"."""
+    """Print a script that completes commands and flags: for bash, eval "$(ear completion bash)".
+
+    Example: ear completion bash
+    """
 
     shell: tyro.conf.Positional[Literal["bash", "zsh"]]
     """The shell. For zsh, save the script as _ear in a directory of its $fpath."""

@@ -18,7 +18,10 @@ BETAS = tuple(round(0.1 * step, 1) for step in range(10, -1, -1))
 
 @dataclass(frozen=True, kw_only=True)
 class ComposeCommand(OnRun):
-    """Blend the task embeddings (LTEs) of two tasks of different kinds, to do both at once: f(β Z₁ + (1 − β) Z₂)."""
+    """Blend the task embeddings (LTEs) of two tasks of different kinds, to do both at once: f(β Z₁ + (1 − β) Z₂).
+
+    Example: ear compose pretrained:halfcheetah-run-jump --between back-3 jump-5
+    """
 
     between: Annotated[tuple[str, str], tyro.conf.arg(metavar="A B")]
     """Two training tasks, as in walk stand, or LTEs saved by `ear adapt --save`."""

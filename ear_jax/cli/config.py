@@ -12,7 +12,9 @@ from ear_jax.config_files import to_toml
 USAGE = """usage: ear config FAMILY [OPTIONS OF ear train] [--json]
 
 Print every setting that `ear train` would train with, as TOML or, with --json, as JSON. Saved to a file, these are
-settings for `ear train --config FILE`."""
+settings for `ear train --config FILE`.
+
+Example: ear config halfcheetah-vel --sac.lr 3e-4"""
 
 
 def main(words: list[str]) -> None:

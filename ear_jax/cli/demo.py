@@ -27,7 +27,10 @@ SEED = 1  # of the starts in the evaluation
 
 @dataclass(frozen=True)
 class DemoCommand:
-    """Train a small agent on three speeds and see it run at each, or see a pretrained agent blend two tasks."""
+    """Train a small agent on three speeds and see it run at each, or see a pretrained agent blend two tasks.
+
+    Example: ear demo --pretrained hopper-vel
+    """
 
     pretrained: Annotated[tuple[str, ...] | None, option("[NAME]")] = None
     """Instead of training, play an agent that `ear pretrained` lists on two of its tasks and on a blend of them."""

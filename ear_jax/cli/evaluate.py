@@ -10,15 +10,19 @@ from typing import Annotated, Any
 
 from ear_jax.cli.arguments import check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, plain, print_table
+from ear_jax.cli.results import keep, print_table
 from ear_jax.embeddings import ltes
+from ear_jax.errors import plain
 from ear_jax.process.terminal import phase
 from ear_jax.runs import records
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateCommand(OnRun):
-    """Play a run's newest policy without exploration, on its training tasks or under any task embedding (LTE)."""
+    """Play a run's newest policy without exploration, on its training tasks or under any task embedding (LTE).
+
+    Example: ear evaluate pretrained:halfcheetah-vel --episodes 10
+    """
 
     episodes: int = 3
     """Episodes per task."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from ear_jax.errors import RunError, UsageError, user_fault
+from ear_jax.errors import RunError, UsageError, plain, user_fault
 from ear_jax.process.stopping import Stopped
 from ear_jax.process.streams import flush_results, open_streams
 
@@ -48,5 +48,5 @@ def _code_of(program: str, command: Callable[[], None]) -> int:
 
 
 def _report(program: str, message: str, code: int) -> int:
-    print(f"{program}: {' '.join(message.splitlines())}", file=sys.stderr)
+    print(f"{program}: {plain(' '.join(message.splitlines()))}", file=sys.stderr)
     return code

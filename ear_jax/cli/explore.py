@@ -15,6 +15,8 @@ class ExploreCommand(OnPolicy):
     """Make a web page on which you point at the sphere of task embeddings (LTEs) and watch what the robot does.
 
     The page is one file and needs no network.
+
+    Example: ear explore pretrained:halfcheetah-vel
     """
 
     places: int = 800

@@ -18,7 +18,10 @@ from ear_jax.runs import records
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """Write a run's newest policy to one file, which every command accepts in place of a run. It holds no replay."""
+    """Write a run's newest policy to one file, which every command accepts in place of a run. It holds no replay.
+
+    Example: ear export pretrained:hopper-vel hopper.safetensors
+    """
 
     run: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """The run directory, an exported file, or pretrained:NAME."""

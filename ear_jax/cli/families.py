@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import tyro
 
 from ear_jax.cli.arguments import option, parse
-from ear_jax.cli.results import plain, print_table
-from ear_jax.errors import RunError, UsageError
+from ear_jax.cli.results import print_table
+from ear_jax.errors import RunError, UsageError, plain
 from ear_jax.names import FAMILIES, family_name, offered_families
 from ear_jax.process.environment import start_jax
 from ear_jax.process.terminal import sign_of_life
@@ -19,7 +19,10 @@ from ear_jax.process.terminal import sign_of_life
 
 @dataclass(frozen=True)
 class FamiliesCommand:
-    """List the families of tasks, or check the ones that are named."""
+    """List the families of tasks, or check the ones that are named.
+
+    Example: ear families ant-dir
+    """
 
     names: tyro.conf.Positional[Annotated[tuple[str, ...], option("[FAMILY ...]", "all that are installed")]] = ()
     """Families, as for `ear train`."""

@@ -24,7 +24,10 @@ MEASURES = {
 
 @dataclass(frozen=True, kw_only=True)
 class InterpolateCommand(OnRun):
-    """Blend the task embeddings (LTEs) of two tasks, to do what lies between or beyond them: f(β Z₁ + (1 − β) Z₂)."""
+    """Blend the task embeddings (LTEs) of two tasks, to do what lies between or beyond them: f(β Z₁ + (1 − β) Z₂).
+
+    Example: ear interpolate pretrained:halfcheetah-vel --between 2 3 --target 2.5
+    """
 
     between: Annotated[tuple[str, str] | None, option("A B")] = None
     """Two training tasks, as in 2 3, or LTEs saved by `ear adapt --save`."""

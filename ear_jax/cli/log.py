@@ -19,7 +19,10 @@ from ear_jax.runs.tracking import TENSORBOARD, tracking
 
 @dataclass(frozen=True)
 class LogCommand:
-    """Copy the metrics of a run that exists to TensorBoard or Weights & Biases."""
+    """Copy the metrics of a run that exists to TensorBoard or Weights & Biases.
+
+    Example: ear log runs/halfcheetah-vel-ear-fast-seed0 --tensorboard
+    """
 
     run: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
     """The run directory."""

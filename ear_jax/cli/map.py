@@ -13,7 +13,10 @@ from ear_jax.process.terminal import phase
 
 @dataclass(frozen=True, kw_only=True)
 class MapCommand(OnRun):
-    """Play task embeddings (LTEs) all over their sphere, and draw what the robot achieves under each."""
+    """Play task embeddings (LTEs) all over their sphere, and draw what the robot achieves under each.
+
+    Example: ear map pretrained:ant-dir --places 500
+    """
 
     places: int = 2000
     """LTEs to play, spread evenly over the sphere."""

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ear_jax.cli.arguments import option, parse
+from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.results import print_pictures
 from ear_jax.errors import UsageError
 from ear_jax.figures.formats import check_format
@@ -22,11 +22,14 @@ PLOTS = Path("plots")
 
 @dataclass(frozen=True)
 class PlotCommand:
-    """Draw the training curves of runs. Runs that differ only in their seeds are one curve with a band."""
+    """Draw the training curves of runs. Runs that differ only in their seeds are one curve with a band.
 
-    runs: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN [RUN ...]")]]
+    Example: ear plot runs/halfcheetah-vel-ear-fast-seed0 --by minutes
+    """
+
+    runs: tyro.conf.Positional[Annotated[tuple[Path, ...], required("RUN [RUN ...]")]]
     """Run directories."""
-    metric: str = "mean_return"
+    metric: Annotated[str, option("METRIC", "mean_return")] = "mean_return"
     """A metric of `metrics.jsonl`, such as entropy, or a task, such as vel-2; an unknown name lists all."""
     by: Literal["updates", "steps", "minutes"] = "updates"
     """The horizontal axis: updates, env steps or minutes of wall time."""

@@ -12,7 +12,10 @@ from ear_jax.cli.results import print_table
 
 @dataclass(frozen=True)
 class PretrainedCommand:
-    """List the trained agents that ship with the package, with their training, their return and the tasks they meet."""
+    """List the trained agents that ship with the package, with their training, their return and the tasks they meet.
+
+    Example: ear pretrained --json
+    """
 
     json: bool = False
     """Print one JSON document and nothing else."""

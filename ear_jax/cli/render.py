@@ -17,7 +17,10 @@ from ear_jax.process.terminal import phase
 
 @dataclass(frozen=True, kw_only=True)
 class RenderCommand(OnPolicy):
-    """Draw the robot as a stop-motion strip and film it, under training tasks, a task embedding (LTE) or blends."""
+    """Draw the robot as a stop-motion strip and film it, under training tasks, a task embedding (LTE) or blends.
+
+    Example: ear render pretrained:hopper-vel --interpolate 1.8 2 --no-film
+    """
 
     task: Annotated[tuple[str, ...], option("[TASK ...]")] = ()
     """Training tasks, as in 2 or 1 2 3."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.cells import cell_len
 
+from ear_jax.errors import plain
 from ear_jax.runs import records
 
 Draw = Callable[[Path, dict[str, Any]], list[Path]]  # figures folder, document → paths of the figures
@@ -61,8 +62,3 @@ def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], title: s
         print("   ".join(filled).rstrip())
         if number == 0:
             print("─" * (sum(widths) + 3 * (len(widths) - 1)))
-
-
-def plain(text: str) -> str:
-    """Returns a text whose control characters, which a terminal would obey, are spelt out."""
-    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)

@@ -28,7 +28,10 @@ from ear_jax.runs.directory import check_place, default_directory
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """Train a policy on a family of tasks: ear train FAMILY. The same command continues an unfinished run."""
+    """Train a policy on a family of tasks: ear train FAMILY. The same command continues an unfinished run.
+
+    Example: ear train halfcheetah-vel --tasks 1 3 5 --sac.lr 3e-4 --seeds 2
+    """
 
     config: Annotated[tyro.conf.FlagConversionOff[Config], tyro.conf.arg(name="")]
     file: Annotated[Path | None, tyro.conf.arg(name="config", metavar="FILE", help_behavior_hint="(default: none)")] = (

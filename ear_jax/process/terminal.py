@@ -12,12 +12,14 @@ from rich.console import Console
 from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from ear_jax.errors import plain
+
 console = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
 def say(line: str) -> None:
-    """Prints one line."""
-    console.print(line, soft_wrap=True)
+    """Prints a line, or several; control characters, which a terminal would obey, are spelt out."""
+    console.print("\n".join(map(plain, line.splitlines())), soft_wrap=True)
 
 
 def is_live() -> bool:
@@ -59,7 +61,7 @@ def _live(name: str) -> Progress:
     """Returns a line that shows a name and the time that passes, and vanishes at the end."""
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     line = Progress(*columns, console=console, transient=True, disable=not is_live())
-    line.add_task(name, total=None)
+    line.add_task(plain(name), total=None)
     return line
 
 
