@@ -91,6 +91,10 @@ def _check_flags(words: list[str], flags: dict[str, Flag], more: str) -> None:
         if not word.startswith("--") or name in flags or name in HELP:
             continue
         raise UsageError(f"unknown option {word.partition('=')[0]}{_meant(name, flags)} {more}")
+    for name, flag in flags.items():
+        is_given = name in [word.replace("_", "-") for word in words]
+        if is_given and isinstance(flag.default, tuple) and not _values(words, name):
+            raise UsageError(f"{name} needs at least one value {more}")
 
 
 def _meant(word: str, flags: dict[str, Flag]) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Callable
 
 from ear_jax.errors import RunError, UsageError, plain, user_fault
 from ear_jax.process.stopping import Stopped
 from ear_jax.process.streams import flush_results, open_streams
+
+UNWRITTEN = (errno.EBADF, errno.ENOSPC, errno.EIO)  # of a print; those that write files name them
 
 
 def exit_code(program: str, command: Callable[[], None]) -> int:
@@ -19,9 +22,9 @@ def exit_code(program: str, command: Callable[[], None]) -> int:
     open_streams()
     code = _code_of(program, command)
     unwritten = flush_results()
-    if unwritten and not code:
-        print(f"{program}: cannot write to standard output: {unwritten}", file=sys.stderr)
-    return code if unwritten is None else code or 1
+    if unwritten is None or code:
+        return code
+    return _report(program, f"cannot write to standard output: {unwritten}", 1) if unwritten else 1
 
 
 def _code_of(program: str, command: Callable[[], None]) -> int:
@@ -35,8 +38,8 @@ def _code_of(program: str, command: Callable[[], None]) -> int:
     except BrokenPipeError:
         return 1  # the reader of stdout has left
     except OSError as error:
-        reason = f"{error.filename}: {error.strerror}" if error.filename else error.strerror or str(error)
-        return _report(program, reason, 1)
+        where = error.filename or ("cannot write to standard output" if error.errno in UNWRITTEN else None)
+        return _report(program, f"{where}: {error.strerror}" if where else str(error), 1)
     except Stopped as stop:
         return stop.exit_code
     except BaseException as error:

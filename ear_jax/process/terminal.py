@@ -86,7 +86,8 @@ class TrainingBar:
         speed = f"{env_steps_rate:,.0f} steps/s · {updates_rate:,.0f} updates/s"
         self._bar.update(self._task, completed=epoch, mean_return=mean_return, speed=speed)
         if self._bar.disable:
-            say(f"epoch {epoch}/{self._epochs} · return {mean_return:.1f} · {speed}")
+            left = _clock(self._bar.tasks[0].time_remaining)
+            say(f"epoch {epoch}/{self._epochs} · return {mean_return:.1f} · {speed} · {left} left")
 
 
 class BlockColumn(ProgressColumn):
