@@ -157,11 +157,11 @@ def _are_limits(value: Any) -> bool:
 
 
 _ATTRIBUTES = {
-    "name": (_is_text, "a non-empty string"),
+    "name": (_is_text, "a non-empty string of printable characters"),
     "substeps": (_is_count, "a whole number of at least 1"),
     "mjx_solver": (_are_limits, "two whole numbers of at least 1, as in (4, 8)"),
     "commanded": (_is_text, "the name of an outcome"),
-    "unit": (_is_text, "a non-empty string"),
+    "unit": (_is_text, "a non-empty string of printable characters"),
     "bodies": (_are_texts, "a tuple of names"),
     "episode_length": (_is_count, "a whole number of at least 1"),
     "options": (_are_texts, "a tuple of names"),

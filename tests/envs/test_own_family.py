@@ -101,7 +101,7 @@ def test_a_file_is_run_once_until_it_is_modified(tmp_path, capsys):
         os.utime(file, ns=(size, size))
         kinds = [find_family(f"{file}:Mine") for _ in range(3)]
         assert len(set(kinds)) == 1
-        assert capsys.readouterr().out == "run\n"
+        assert capsys.readouterr().err == "run\n"
 
 
 def test_an_installed_package_that_is_broken_is_named(monkeypatch, capsys):
@@ -140,7 +140,11 @@ PARTS = "training_tasks = parse_task = initial = observe = outcome = reward = pr
         ),
         ("mine.py:Mine", f"class Mine(Family): {PARTS}", r"mine\.py:Mine does not define name; it must be a non-"),
         ("mine.py:Mine", f"class Mine(Family): name = 'm'; {PARTS}", "does not define substeps; it must be a whole"),
-        ("mine.py:Mine", "class Mine(Bandit): name = ''", r"mine\.py:Mine: name must be a non-empty string, but is ''"),
+        (
+            "mine.py:Mine",
+            "class Mine(Bandit): name = ''",
+            r"mine\.py:Mine: name must be a non-empty string of .*, but is ''",
+        ),
         ("mine.py:Mine", "class Mine(Bandit): substeps = 0.5", r"substeps must be a whole number of .*, but is 0\.5"),
         ("mine.py:Mine", "class Mine(Bandit): mjx_solver = 4", r"mjx_solver must be two whole numbers .*, but is 4"),
         ("mine.py:Mine", "class Mine(Bandit): bodies = 'foot'", r"bodies must be a tuple of names, but is 'foot'"),

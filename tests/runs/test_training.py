@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from unittest.mock import Mock
@@ -159,3 +161,12 @@ def test_fifty_short_runs_of_the_callback_engine_do_not_deadlock():
 def test_many_runs_in_one_process_do_not_deadlock(runs):
     for _ in range(runs):
         assert int(state_after(tiny_config(), 1).epoch[0]) == 1
+
+
+def test_a_run_trains_in_any_thread_of_a_program(tiny, run_directory):
+    """Signals are the main thread's: a run elsewhere records none, and a program's handlers stay."""
+    before = signal.getsignal(signal.SIGINT)
+    with ThreadPoolExecutor() as pool:
+        pool.submit(train_run, tiny, run_directory).result()
+    assert records.read_rows(run_directory / "metrics.jsonl")[-1]["epoch"] == tiny.epochs
+    assert signal.getsignal(signal.SIGINT) is before
