@@ -7,7 +7,6 @@ import reprlib
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, get_type_hints
 
-import typeguard
 import tyro
 
 from ear_jax.errors import UsageError, unknown
@@ -238,6 +237,8 @@ def from_dict(values: Any, kind: type = Config, where: str = "") -> Any:
 
 def _check_type(name: str, value: Any, kind: Any) -> None:
     """Raises UsageError unless a setting is of its type, and its text has no control characters."""
+    import typeguard  # a fifth of the time in which a command refuses a mistake
+
     try:
         typeguard.check_type(value, kind, collection_check_strategy=typeguard.CollectionCheckStrategy.ALL_ITEMS)
     except typeguard.TypeCheckError:

@@ -9,6 +9,7 @@ import sys
 import ear_jax
 from ear_jax.cli.exits import exit_code
 from ear_jax.errors import UsageError, hint, known_name, nearest
+from ear_jax.process.streams import starting
 
 # Module and summary of each; the module, imported only when it is called, has a function main(arguments).
 COMMANDS = {
@@ -92,7 +93,9 @@ def _run(name: str, *words: str) -> None:
     name = find_command(name)
     # Hides log lines of JAX and XLA, unless the user sets the variable.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    importlib.import_module(COMMANDS[name][0]).main(arguments)
+    with starting(f"ear {name}"):
+        command = importlib.import_module(COMMANDS[name][0])
+    command.main(arguments)
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ STYLE: Any = {
     "grid.alpha": 0.3,
     "figure.dpi": 160,
     "savefig.bbox": "tight",
+    "text.parse_math": False,  # a name with dollar signs is a name
 }
 
 

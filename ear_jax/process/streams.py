@@ -5,6 +5,8 @@ from __future__ import annotations
 import codecs
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 PLAIN = {"β": "beta", "σ": "sigma", "φ": "phi", "ψ": "psi", "γ": "gamma", "…": "...", "−": "-", "–": "-", "—": "-"}
 PLAIN |= {
@@ -50,6 +52,20 @@ def open_streams() -> None:
     for stream in (sys.stdout, sys.stderr):
         if getattr(stream, "errors", None) in ("strict", "backslashreplace") and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="ear_jax")
+
+
+@contextmanager
+def starting(name: str) -> Iterator[None]:
+    """Shows a name on a terminal meanwhile, at once: nothing is imported for it."""
+    live = sys.stderr.isatty() and os.environ.get("TERM", "dumb").lower() not in ("dumb", "unknown", "")
+    if not live:
+        yield
+        return
+    print(f"{name} …", end="", flush=True, file=sys.stderr)
+    try:
+        yield
+    finally:
+        print("\r\x1b[2K", end="", flush=True, file=sys.stderr)
 
 
 def flush_results() -> str | None:

@@ -83,6 +83,22 @@ def test_the_shortest_form_is_what_matters(width, time_left, monkeypatch):
     assert ("20/200" in line, "-12.3" in line, "left" in line) == (True, True, time_left)
 
 
+def test_a_terminal_shows_the_command_before_it_is_imported():
+    code = """
+import sys
+from ear_jax.cli.main import main
+class Finder:
+    def find_spec(name, *_):
+        if name == "tyro":
+            print("first")
+sys.meta_path.insert(0, Finder)
+sys.exit(main(["pretrained", "--json"]))
+"""
+    shown = on_terminal(code, 80, "xterm")
+    assert 0 <= shown.find("ear pretrained …") < shown.find("first") < shown.find("\x1b[2K") < shown.find("{")
+    assert "\x1b" not in on_terminal(code, 80, "dumb")
+
+
 def test_a_terminal_shows_a_sign_of_life_before_jax_starts(monkeypatch, capsys):
     def refuse() -> None:
         time.sleep(0.15)

@@ -1,0 +1,70 @@
+"""Names are text wherever they are shown: no markup of the terminal, no formula in a figure, no tag in a page."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from ear_jax.cli.adapt import _print as print_adapt
+from ear_jax.cli.evaluate import print_evaluation
+from ear_jax.cli.results import print_table
+from ear_jax.figures.adapt import draw_adapt
+from ear_jax.figures.evaluate import draw_evaluate
+from ear_jax.figures.explore import Loop, write_page
+from ear_jax.figures.interpolate import draw_interpolate
+from ear_jax.process.terminal import phase
+
+NAMES = ("[/x]", "[red]a[/red]", ":smile:", "$x_{$", r"$\frac$", "</script><b>", "{0}%s", "\N{GREEK SMALL LETTER BETA}")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_is_shown_as_it_is(name, capsys):
+    task = {"name": name, "outcome": {name: 1.0}, "return_mean": -2.0, "failures": 1}
+    quantity = {"outcome": name, "unit": name}
+    seeds = [{"seed": 0, "tasks": [task]}]
+    evaluation = {"run": name, "mean_return": 1.0, "commanded": quantity, "seeds": seeds, "episodes": 2}
+    print_evaluation(evaluation)
+    with phase(f"playing {name}"):
+        print(name)
+    epochs = [{"best_of_epoch": 1.0, "reevaluated": 1.0, "achieved": 1.0}]
+    adapted = {"name": name, "seed": 0, "target": 1.0, "epochs": epochs, "zero_shot": None, "lte": [1.0]}
+    print_adapt({"tasks": [adapted], "env_steps": 1, "map_env_steps": 1, "seconds": 1.0}, name)
+    streams = capsys.readouterr()
+    assert streams.out.count(name) >= 8
+    assert streams.err.count(name) == 3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_is_drawn_as_it_is(name, tmp_path):
+    quantity = {"outcome": name, "unit": name}
+    episodes = {name: [1.0, 2.0]}
+    seeds = [{"seed": 0, "tasks": [{"name": name, "target": 1.0, "episodes": episodes}]}]
+    pair = {"between": [name, name], "target": 1.5, "beta": 0.5, "outcome": 1.0, "curve": [1.0], "seed": 0}
+    epochs = [{"best_of_epoch": 1.0, "reevaluated": 1.0, "achieved": 1.0}]
+    adapted = {"name": name, "seed": 0, "target": 1.0, "epochs": epochs, "zero_shot": None, "lte": [1.0]}
+    drawn = [
+        *draw_evaluate(tmp_path, {"commanded": quantity, "seeds": seeds}, []),
+        *draw_interpolate(tmp_path, {"pairs": [pair], "betas": [0.5], "commanded": quantity}),
+        *draw_adapt(tmp_path, {"tasks": [adapted]}),
+    ]
+    assert all(picture.stat().st_size > 1000 for picture in drawn)
+
+
+def test_a_name_ends_no_script_of_the_page(tmp_path):
+    loop = Loop(np.zeros((2, 1, 2, 2)), np.zeros((3, 2)), False)
+    commanded = {"outcome": NAMES[5], "unit": NAMES[5], "period": None}
+    document = {"title": NAMES[5], "commanded": commanded, "achieved": [0.0, 1.0], "trained": [{"name": NAMES[5]}]}
+    page = write_page(tmp_path / "page.html", document, [loop, loop]).read_text()
+    assert NAMES[5] not in page
+    assert json.loads(re.search(r"\{\"title\".*\}", page)[0])["title"] == NAMES[5]
+
+
+def test_a_table_breaks_no_name_and_cuts_no_column(capsys):
+    rows = [("halfcheetah-run-jump", "1"), ("日本", "22")]
+    print_table(("family", "tasks>"), rows, "title")
+    title, heading, rule, *lines = capsys.readouterr().out.splitlines()
+    assert (title, heading, set(rule)) == ("title", "family                 tasks", {"─"})
+    assert lines == ["halfcheetah-run-jump       1", "日本                      22"]
