@@ -15,10 +15,16 @@ if TYPE_CHECKING:
     from ear_jax.embeddings.interpolate import Pair
     from ear_jax.runs.trained import Trained
 
-HEADINGS = {"mid_task": "mid", "one_to_one": "1:1", "one_to_one_outcome": "at β = ½"}
+HEADINGS = {
+    "beta": "β",
+    "outcome": "achieved",
+    "mid_task": "midway",
+    "one_to_one": "between",
+    "one_to_one_outcome": "at β = ½",
+}
 MEASURES = {
-    "mid_task": "mid (a blend at β from 0.1 to 0.9 meets the middle)",
-    "one_to_one": "1:1 (the blend at β = ½ lies between the tasks)",
+    "mid_task": "midway: a blend, β from 0.1 to 0.9, meets the value midway",
+    "one_to_one": "between: the half-and-half blend, β = ½, lies between the two tasks",
 }
 
 
@@ -96,10 +102,10 @@ def _print(document: dict[str, Any]) -> None:
     """Prints one row per pair or blend, and the counts of the paper's two measures."""
     rows = document.get("pairs") or document["blends"]
     columns = [key for key in rows[0] if key not in ("between", "curve")]
-    headings = (HEADINGS.get(heading, heading) for heading in columns)
+    headings = (f"{HEADINGS.get(name, name)}{'>' * isinstance(rows[0][name], float)}" for name in columns)
     cells = [("–".join(row["between"]), *(_show(row[key]) for key in columns)) for row in rows]
-    print_table(("between", *headings), cells)
-    print(f"outcomes in {document['commanded']['unit']}")
+    print_table(("pair", *headings), cells)
+    print(f"values are in {document['commanded']['unit']}")
     for measure, meaning in MEASURES.items():
         if measure in document:
             print(f"{meaning}: {document[measure]['success']} of {document[measure]['total']} pairs")
