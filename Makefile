@@ -4,7 +4,7 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
 BIN := .venv/bin
 SOURCES := ear_jax benchmarks experiments tests
 
-.PHONY: setup demo test test-slow lint format bench lock
+.PHONY: setup demo test test-slow lint format bench docs lock
 
 setup: .venv/.made
 
@@ -46,7 +46,20 @@ bench: setup
 	$(BIN)/python -m benchmarks.time_to_return
 	$(BIN)/python -m benchmarks.figures
 
+# The site, in build/site. What builds it is installed in a .venv-docs of its own, on top of .venv.
+docs: .venv-docs/.made
+	.venv-docs/bin/mkdocs build --quiet --strict
+
+.venv-docs/.made: setup requirements-docs.lock
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -c "import site, pathlib, sys; pathlib.Path(site.getsitepackages()[0], 'ear_jax_venv.pth') \
+	  .write_text(str(next(pathlib.Path('.venv/lib').glob('python3*/site-packages')).resolve()))"
+	.venv-docs/bin/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
+	@touch $@
+
 # Pins every package with hashes for Python 3.11 to 3.13, without an index's address. Needs uv.
 lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-annotate --no-header \
 	  --quiet --extra reach --group dev pyproject.toml --output-file requirements.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-annotate --no-header \
+	  --quiet --group docs --constraints requirements.lock --output-file requirements-docs.lock

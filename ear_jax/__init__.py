@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ear_jax.runs.loop import train_run
     from ear_jax.runs.trained import Trained, load
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "Family",
     "Trained",

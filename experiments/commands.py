@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import os
-import shlex
 from pathlib import Path
 
-from ear_jax.config import Config, flat
-from ear_jax.presets import preset_config
 from experiments.inventory import POLICY, Job
 from experiments.paper import Analysis
 
@@ -43,18 +40,3 @@ def analysis_words(job: Job, analysis: Analysis) -> list[str]:
 def _from_here(path: Path) -> str:
     """Returns a path relative to the working directory: commands are recorded, and must not depend on a machine."""
     return os.path.relpath(path)
-
-
-def command_line(config: Config) -> str:
-    """Returns `ear train` with these settings, with flags for those that differ from today's preset.
-
-    Engine and checkpoint settings are left out.
-    """
-    words = ["ear", "train", config.family]
-    defaults = {**flat(preset_config(config.family, config.preset, config.agent)), "preset": "fast", "agent": "ear"}
-    for name, value in flat(config).items():
-        if value != defaults[name] and name.split(".")[0] not in ("engine", "checkpoint"):
-            values = value if isinstance(value, tuple) else [value]
-            words.append(f"--{name.replace('_', '-')}")
-            words += [f"{item:g}" if isinstance(item, float) else str(item) for item in values]
-    return shlex.join(words)

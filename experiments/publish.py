@@ -15,9 +15,8 @@ from ear_jax import pretrained
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import records
+from ear_jax.runs.card import command_line, make_card
 from ear_jax.runs.trained import Trained, load, pick, save
-from experiments.card import make_card
-from experiments.commands import command_line
 
 FILE_BYTES, ALL_BYTES = 2_000_000, 10_000_000  # limits for one file and for all together
 

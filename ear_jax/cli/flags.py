@@ -40,7 +40,7 @@ def flags_of(kind: type, where: str = "--", with_switches: bool = True) -> dict[
     found: dict[str, Flag] = {}
     hints = get_type_hints(kind, include_extras=True)
     for field in dataclasses.fields(kind):
-        plain, notes = _without_notes(hints[field.name])
+        plain, notes = without_notes(hints[field.name])
         own = next((note.name for note in notes if getattr(note, "name", None)), field.name)
         name = where + own.replace("_", "-")
         if tyro.conf.Positional in notes:
@@ -80,7 +80,7 @@ def near_flags(word: str, flags: Iterable[str]) -> list[str]:
     return []
 
 
-def _without_notes(hint: Any) -> tuple[Any, tuple[Any, ...]]:
+def without_notes(hint: Any) -> tuple[Any, tuple[Any, ...]]:
     """Splits `Annotated[X | None, …]` into X and its notes."""
     notes: tuple[Any, ...] = ()
     while get_origin(hint) is Annotated:
@@ -89,7 +89,7 @@ def _without_notes(hint: Any) -> tuple[Any, tuple[Any, ...]]:
     if get_origin(hint) in (Union, UnionType):
         first, *others = (one for one in get_args(hint) if one is not NoneType)
         if not others:
-            inner, deeper = _without_notes(first)
+            inner, deeper = without_notes(first)
             return inner, (*notes, *deeper)
     return hint, notes
 

@@ -13,8 +13,8 @@ from ear_jax.config import Config, flat, from_dict
 from ear_jax.errors import UsageError
 from ear_jax.presets import VARIANTS, preset_config
 from ear_jax.runs import records
+from ear_jax.runs.card import command_line
 from experiments import inventory
-from experiments.commands import command_line
 from experiments.inventory import BUDGET
 from experiments.paper import Experiment, Method
 

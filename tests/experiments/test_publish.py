@@ -15,12 +15,11 @@ from ear_jax import pretrained
 from ear_jax.envs import make_family
 from ear_jax.presets import preset_config
 from ear_jax.runs import records
+from ear_jax.runs.card import CURVE_POINTS, command_line, judge, limits, thinned
 from ear_jax.runs.export import read_about, read_policy, write_policy
 from ear_jax.runs.trained import load
 from experiments import publish
 from experiments.__main__ import main
-from experiments.card import CURVE_POINTS, judge, limits, thinned
-from experiments.commands import command_line
 from experiments.inventory import RECORDS
 
 POLICY, METRICS, EVALUATION = "policy.safetensors", "metrics.jsonl", "evaluation.json"

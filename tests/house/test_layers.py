@@ -14,6 +14,7 @@ PACKAGE = Path(ear_jax.__file__).parent
 ORDER = (
     "errors",
     "names",
+    "gymnasium_ids",
     "config",
     "config_files",
     "limits",

@@ -1,11 +1,14 @@
-"""The card of an agent that ships: its training, its results and its limits, computed from a record."""
+"""The card of a policy: its training, its results and its limits, computed from its records."""
 
 from __future__ import annotations
 
+import shlex
 from typing import Any
 
+from ear_jax.config import Config, flat
 from ear_jax.envs import Family
 from ear_jax.errors import RunError
+from ear_jax.presets import preset_config
 from ear_jax.runs.trained import Trained
 
 CURVE_POINTS = 20
@@ -121,3 +124,18 @@ def thinned(rows: list[dict[str, Any]]) -> list[dict[str, float]]:
         }
         for row in rows[::-every][::-1]
     ]
+
+
+def command_line(config: Config) -> str:
+    """Returns `ear train` with these settings, with flags for those that differ from today's preset.
+
+    Engine and checkpoint settings are left out.
+    """
+    words = ["ear", "train", config.family]
+    defaults = {**flat(preset_config(config.family, config.preset, config.agent)), "preset": "fast", "agent": "ear"}
+    for name, value in flat(config).items():
+        if value != defaults[name] and name.split(".")[0] not in ("engine", "checkpoint"):
+            values = value if isinstance(value, tuple) else [value]
+            words.append(f"--{name.replace('_', '-')}")
+            words += [f"{item:g}" if isinstance(item, float) else str(item) for item in values]
+    return shlex.join(words)

@@ -1,0 +1,32 @@
+"""The families' names in Gymnasium: `gymnasium.make_vec("ear_jax/HalfCheetahVel-v0", num_envs=10)`.
+
+Gymnasium calls `register_families` when it is imported, as a plug-in, so nothing else may be imported here.
+"""
+
+from __future__ import annotations
+
+from ear_jax.names import FAMILIES
+
+CAPITALS = {"halfcheetah": "HalfCheetah"}
+MODULE = "ear_jax.envs.as_gymnasium"
+
+
+def gymnasium_id(family: str) -> str:
+    """Returns a family's name in Gymnasium: ear_jax/AntDir-v0 for ant-dir."""
+    words = (CAPITALS.get(word, word.capitalize()) for word in family.split("-"))
+    return f"ear_jax/{''.join(words)}-v0"
+
+
+def register_families() -> None:
+    """Registers all families with Gymnasium; ear_jax/Family-v0 takes any family by name, as `ear train` does."""
+    from gymnasium.envs.registration import register, registry
+
+    ids = {"ear_jax/Family-v0": {}, **{gymnasium_id(family): {"family": family} for family in FAMILIES}}
+    for name, arguments in ids.items():
+        if name not in registry:
+            register(
+                name,
+                entry_point=f"{MODULE}:FamilyEnv",
+                vector_entry_point=f"{MODULE}:FamilyVectorEnv",
+                kwargs=dict(arguments),
+            )

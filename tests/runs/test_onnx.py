@@ -1,0 +1,129 @@
+"""Policies as ONNX: onnxruntime acts as JAX does, for every method; and model cards that hubs can read."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+
+from ear_jax import pretrained
+from ear_jax.cli.main import main
+from ear_jax.methods import METHODS, Sizes, make_agent
+from ear_jax.presets import draft_config
+from ear_jax.rendering.live.programs import Constants, translate
+from ear_jax.runs.model_card import to_markdown
+from ear_jax.runs.onnx import run_onnx, to_onnx
+from ear_jax.runs.trained import load, policy_of
+
+ITEMS = 5
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_onnxruntime_acts_as_jax_does(method):
+    pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    config = draft_config("hopper-vel", "smoke", method)
+    network = {**METHODS[method].presets.get("smoke", {}).get("network", {}), "width": 16, "task_width": 16}
+    config = dataclasses.replace(config, network=dataclasses.replace(config.network, **network))
+    history = config.network.history
+    agent = make_agent(Sizes(4 * history, 2, 3), config)
+    policy = agent.init_policy(jax.random.key(0))
+    policy["standardiser"] = dataclasses.replace(policy["standardiser"], mean=jnp.arange(4.0 * history) / 9)
+
+    def act(lte, obs):
+        distribution = agent.distribution(policy, lte, obs)
+        return jnp.tanh(distribution.mean), distribution.mean, distribution.log_std
+
+    constants, random = Constants(), np.random.default_rng(0)
+    program = translate(act, constants, jnp.zeros(agent.code_size), jnp.zeros(4 * history))
+    model = to_onnx(program, np.concatenate(constants.arrays), {})
+    lte = random.normal(size=(ITEMS, agent.code_size)).astype(np.float32)
+    obs = 2 * random.normal(size=(ITEMS, 4 * history)).astype(np.float32)
+    expected = jax.vmap(act)(jnp.asarray(lte), jnp.asarray(obs))
+    for one, other in zip(run_onnx(model, lte, obs), expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=2e-5)
+    for one, other in zip(run_onnx(model, lte[:1], obs[:1]), expected, strict=True):
+        np.testing.assert_allclose(one, other[:1], rtol=1e-4, atol=2e-5)
+
+
+def test_an_agent_that_ships_is_exported_and_runs_without_ear_jax(tmp_path, capsys):
+    onnxruntime = pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    file = tmp_path / "hub" / "policy.onnx"
+    assert main(["export", "pretrained:hopper-vel", str(file), "--card", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["largest_difference"] < 1e-4
+    assert document["bytes"] == file.stat().st_size
+    session = onnxruntime.InferenceSession(file)
+    ltes = json.loads(session.get_modelmeta().custom_metadata_map["ltes"])
+    obs = np.linspace(-1, 1, 11, dtype=np.float32)[None]
+    (action,) = session.run(["action"], {"lte": np.array([ltes["vel-1.4"]], np.float32), "obs": obs})
+    trained = load(Path("pretrained:hopper-vel"))
+    agent, policy = trained.program.agent, policy_of(trained, 0)
+    code = agent.codes(policy)[trained.program.tasks.index("vel-1.4")]
+    np.testing.assert_allclose(action[0], jnp.tanh(agent.distribution(policy, code, obs[0]).mean), atol=1e-4)
+    block = (file.parent / "README.md").read_text().split("```python\n")[1].split("```")[0]
+    names: dict = {}
+    exec(block.replace('"policy.onnx"', repr(str(file))), names)
+    assert names["action"].shape == (1, 3)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["policy.tflite"], "policy.tflite must end in .safetensors or .onnx"),
+        (["README.safetensors", "--card"], "README.md already exists"),
+        (["two.safetensors", "--policy", "2"], "--policy 2 is out of range"),
+    ],
+)
+def test_mistakes_are_one_line_and_write_nothing(words, complaint, finished, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    if "--card" in words:
+        Path("README.md").touch()
+    assert main(["export", str(finished), *words]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not Path(words[0]).exists()
+
+
+def test_several_policies_need_a_choice_for_a_card(finished, tmp_path, capsys):
+    file = tmp_path / "hub" / "policy.safetensors"
+    assert main(["export", str(finished), str(file), "--card"]) == 2
+    assert "has 2 policies; choose one with --policy 0 to 1" in capsys.readouterr().err
+    assert main(["export", str(finished), str(file), "--card", "--policy", "1"]) == 0
+    text = (file.parent / "README.md").read_text()
+    assert "seed 1" in text
+    assert "which tasks it meets is not known" in text
+    assert "license" not in front_matter(text)
+
+
+def test_onnx_that_is_absent_is_one_line_before_anything_is_loaded(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    assert main(["export", "pretrained:hopper-vel", str(tmp_path / "policy.onnx")]) == 1
+    assert capsys.readouterr().err == "ear: ONNX needs packages that are not installed: pip install 'ear-jax[onnx]'\n"
+
+
+def front_matter(text: str) -> dict:
+    return yaml.safe_load(text.split("---\n")[1])
+
+
+@pytest.mark.parametrize("name", pretrained.names())
+def test_model_cards_have_the_front_matter_of_hubs(name):
+    card = pretrained.card(name)
+    text = to_markdown(card, "policy.safetensors")
+    front = front_matter(text)
+    assert (front["license"], front["library_name"]) == ("mit", "ear-jax")
+    assert front["pipeline_tag"] == "reinforcement-learning"
+    (model,) = front["model-index"]
+    (result,) = model["results"]
+    assert (model["name"], result["dataset"]["type"]) == (name, card["family"])
+    mean, spread = map(float, result["metrics"][0]["value"].split(" +/- "))
+    assert mean == pytest.approx(card["mean_return"], abs=0.01)
+    assert spread == pytest.approx(np.std([task["return"] for task in card["tasks"]]), abs=0.01)
+    for task in card["tasks"]:
+        assert f"| {task['name']} |" in text
+    assert card["limits"] in text
