@@ -48,7 +48,7 @@ bench: setup
 
 # The site, in build/site. What builds it is installed in a .venv-docs of its own, on top of .venv.
 docs: .venv-docs/.made
-	.venv-docs/bin/mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --quiet --strict
 
 .venv-docs/.made: setup requirements-docs.lock
 	$(PYTHON) -m venv .venv-docs

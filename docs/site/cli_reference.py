@@ -23,11 +23,12 @@ def page() -> str:
         "# Command line",
         "`ear COMMAND --help` prints the same in a terminal. A mistake gives one line and exit code 2; a request that "
         "cannot be carried out here gives one line and exit code 1.",
+        "The defaults of `ear train` are those of the preset `paper` for HalfCheetah-Vel; `ear config FAMILY` prints the "
+        "settings of a preset.",
     ]
     kinds = commands()
-    for name, (_, summary) in COMMANDS.items():
-        parts += [f"## ear {name}", f"{summary[0].upper()}{summary[1:]}."]
-        parts += [section(kinds[name])] if name in kinds else [f"```\n{USAGE}\n```"]
+    for name in COMMANDS:
+        parts += [f"## ear {name}", section(kinds[name]) if name in kinds else f"```\n{USAGE}\n```"]
     return "\n\n".join(parts) + "\n"
 
 
