@@ -23,8 +23,8 @@ def page() -> str:
         "# Command line",
         "`ear COMMAND --help` prints the same in a terminal. A mistake gives one line and exit code 2; a request that "
         "cannot be carried out here gives one line and exit code 1.",
-        "The defaults of `ear train` are those of the preset `paper` for HalfCheetah-Vel; `ear config FAMILY` prints the "
-        "settings of a preset.",
+        "The defaults of `ear train` are those of the preset `paper` for HalfCheetah-Vel; `ear config FAMILY` prints "
+        "the settings of a preset.",
     ]
     kinds = commands()
     for name in COMMANDS:
@@ -34,7 +34,8 @@ def page() -> str:
 
 def section(kind: type) -> str:
     """Returns the options of one command, as Markdown."""
-    about = " ".join((inspect.getdoc(kind) or "").split())
+    about, _, example = (inspect.getdoc(kind) or "").partition("\n\nExample: ")
+    about = f"{' '.join(about.split())}\n\n```\n{example}\n```" if example else " ".join(about.split())
     rows = [
         f"**`{flag}`**{f' (default: `{default}`)' if default else ''}  \n{text}\n"
         for flag, default, text in options(kind)
