@@ -78,6 +78,30 @@ def test_the_command_line_is_told_whole(monkeypatch):
         assert "**  \n\n" not in section, f"an option of ear {name} is not described"
 
 
+def test_what_the_table_of_peers_says_of_us_are_commands_that_there_are():
+    """Every command, flag, target and file in our column."""
+    from ear_jax.cli.completion import commands
+    from ear_jax.cli.flags import flags_of
+
+    table = (ROOT / "docs" / "peers.md").read_text()
+    ours = [line.split("|")[2] for line in table.splitlines() if line.startswith("| ") and " ear_jax |" not in line]
+    said = [words for cell in ours for words in re.findall(r"`([^`]+)`", cell)]
+    kinds, found = commands(), 0
+    for words in said:
+        if words.startswith("ear "):
+            name, *rest = words.split()[1:]
+            flags = flags_of(kinds[name])
+            assert all(word in flags for word in rest if word.startswith("--")), words
+            found += 1
+        elif words.startswith("--"):
+            assert words.split()[0] in flags_of(kinds["train"]), words
+        elif words.startswith("make "):
+            assert f"\n{words.split()[1]}:" in (ROOT / "Makefile").read_text()
+        elif ("/" in words and "(" not in words) or words.endswith(".cff"):
+            assert (ROOT / words).is_file(), words
+    assert found > 8
+
+
 @pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path):
     """Without a network, and with every link inside of it alive."""
