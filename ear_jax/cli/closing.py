@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import sys
 from collections.abc import Sequence
@@ -39,7 +40,7 @@ def program() -> str:
 def _nearby(path: Path) -> str:
     """Returns a program's path from the working directory if it lies below that, otherwise from the root."""
     here, path = Path.cwd(), path.absolute()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
+    return shlex.quote(str(path.relative_to(here) if path.is_relative_to(here) else path))
 
 
 def say_summary(directory: Path, rows: Sequence[dict[str, Any]]) -> None:
