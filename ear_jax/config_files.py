@@ -32,11 +32,11 @@ def read_settings(path: Path) -> Settings:
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(f"{file} cannot be read: {getattr(error, 'strerror', None) or 'it is not text'}") from None
     try:
-        settings = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
+        read: Any = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         kind = "JSON" if file.suffix == ".json" else "TOML"
         raise UsageError(f"{file} is not {kind}: {error}") from None
-    settings = settings.get("config", settings) if isinstance(settings, dict) else settings
+    settings: Settings = read.get("config", read) if isinstance(read, dict) else read
     try:
         from_dict({"family": "", **settings} if isinstance(settings, dict) else settings)
     except UsageError as error:
@@ -46,7 +46,8 @@ def read_settings(path: Path) -> Settings:
 
 def with_settings(base: Config, settings: Settings) -> Config:
     """Returns a configuration in which the given settings replace those of `base`."""
-    return from_dict(_over(dataclasses.asdict(base), settings))
+    config: Config = from_dict(_over(dataclasses.asdict(base), settings))
+    return config
 
 
 def to_toml(config: Config) -> str:

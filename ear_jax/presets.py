@@ -93,7 +93,8 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
             if not method.reads(name):
                 raise UsageError(f"agent {agent!r} has no use for {flag(name)}, which --preset {preset} sets")
         changes = _merge(changes, VARIANTS[variant])
-    return from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+    config: Config = from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+    return config
 
 
 def draft_config(family: str, preset: str, agent: str = "ear") -> Config:
@@ -102,7 +103,8 @@ def draft_config(family: str, preset: str, agent: str = "ear") -> Config:
     changes = PRESETS[base]
     for variant in variants:
         changes = _merge(changes, VARIANTS[variant])
-    return from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+    config: Config = from_dict({"family": family, "preset": preset, "agent": agent, **changes})
+    return config
 
 
 def parts(preset: str) -> tuple[str, list[str]]:

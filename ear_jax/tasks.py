@@ -53,7 +53,9 @@ class TaskSet:
         """The numbers the reward reads, each leaf [tasks]; empty without tasks."""
         if not self.tasks:
             return {}
-        return jax.tree.map(lambda *leaves: jnp.asarray(leaves, jnp.float32), *(task.params for task in self.tasks))
+        leaves = (task.params for task in self.tasks)
+        stacked: TaskParams = jax.tree.map(lambda *values: jnp.asarray(values, jnp.float32), *leaves)
+        return stacked
 
     @property
     def document(self) -> list[dict[str, Any]]:

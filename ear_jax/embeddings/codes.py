@@ -48,4 +48,4 @@ def spread_codes(count: int, size: int) -> np.ndarray:
     if size == 3:
         return fibonacci_sphere(count)
     directions = np.random.default_rng(0).normal(size=(count, size))
-    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), np.float32)

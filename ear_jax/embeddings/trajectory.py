@@ -53,7 +53,10 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
     def play(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), env.start(key, task, 1))
         act = act_with(program.agent, policy, codes)
-        return rollout(env, act, env_states, jnp.zeros(shape), _outcome_and_over)[1]
+        played: tuple[dict[str, jax.Array], jax.Array] = rollout(
+            env, act, env_states, jnp.zeros(shape), _outcome_and_over
+        )[1]
+        return played
 
     outcomes, over = jax.device_get(jax.jit(play, compiler_options=compiler_options())(policy, codes, key))
     return [

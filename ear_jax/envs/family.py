@@ -164,11 +164,11 @@ class Family(Env):
     @property
     def observation_size(self) -> int:
         """Size of the agent's input: `history` observations, the oldest first."""
-        return jax.eval_shape(lambda key: self._first_obs(self.initial(key)), jax.random.key(0)).shape[0]
+        return int(jax.eval_shape(lambda key: self._first_obs(self.initial(key)), jax.random.key(0)).size)
 
     @property
     def action_size(self) -> int:
-        return self.model.nu
+        return int(self.model.nu)
 
     @property
     def backend(self) -> str:

@@ -39,7 +39,7 @@ def find_family(name: str) -> type[Family]:
         return _from_file(*name.rsplit(":", 1))
     offered = offered_families()
     with user_code(f"family {name!r} cannot be loaded from {offered[name].value}", None):
-        kind = offered[name].load()
+        kind: type[Family] = offered[name].load()
     check_class(kind, name)
     USER_FILES.add(source_file(kind) or "")
     return kind
@@ -112,7 +112,7 @@ def _loaded(path: str, class_name: str, resolved: Path, modified: int) -> type[F
         spec.loader.exec_module(module)
     if class_name not in vars(module):
         raise unknown("family", class_name, [name for name, kind in vars(module).items() if _is_family(kind)])
-    kind = getattr(module, class_name)
+    kind: type[Family] = getattr(module, class_name)
     check_class(kind, f"{path}:{class_name}")
     return kind
 

@@ -67,7 +67,7 @@ def differences(one: Group, other: Group) -> list[dict[str, Any]]:
 
 def mean(scores: np.ndarray) -> np.ndarray:
     """Returns the mean [...] over seeds and tasks of scores [..., seeds, tasks]."""
-    return np.mean(scores, axis=(-2, -1))
+    return np.asarray(np.mean(scores, axis=(-2, -1)))
 
 
 def _describe(members: Group, scores: np.ndarray) -> dict[str, Any]:

@@ -157,9 +157,12 @@ def _restore(program: Program, compiled: Compiled, keys: jax.Array, progress: Pr
     saved = all(step.about["replay"] for step in steps)
     like = compiled.state if saved else compiled.state.without_replay
     with phase(f"restoring epoch {epoch}"):
-        state = join([checkpoint.restore(step, of_run(like, index, len(steps))) for index, step in enumerate(steps)])
+        state: TrainState = join(
+            [checkpoint.restore(step, of_run(like, index, len(steps))) for index, step in enumerate(steps)]
+        )
         if saved:
-            return jax.device_put(state, seed_sharding(len(keys)))
+            state = jax.device_put(state, seed_sharding(len(keys)))
+            return state
     epochs = program.config.collect.pretrain_epochs
     say(
         f"warning: epoch {epoch} was saved without its replay; {epochs} epochs of collection "

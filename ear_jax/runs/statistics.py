@@ -22,7 +22,7 @@ def interquartile_mean(scores: np.ndarray) -> np.ndarray:
     scores = np.asarray(scores, float)
     ordered = np.sort(scores.reshape(*scores.shape[:-2], -1))
     cut = ordered.shape[-1] // 4
-    return ordered[..., cut : ordered.shape[-1] - cut].mean(-1)
+    return np.asarray(ordered[..., cut : ordered.shape[-1] - cut].mean(-1))
 
 
 def probability_of_improvement(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
@@ -35,7 +35,7 @@ def probability_of_improvement(ours: np.ndarray, theirs: np.ndarray) -> np.ndarr
       [...] in [0, 1], Mann and Whitney's U over the number of pairs; ties count one half.
     """
     apart = np.asarray(ours, float)[..., :, None, :] - np.asarray(theirs, float)[..., None, :, :]
-    return np.mean((apart > 0) + 0.5 * (apart == 0), axis=(-3, -2, -1))
+    return np.asarray(np.mean((apart > 0) + 0.5 * (apart == 0), axis=(-3, -2, -1)))
 
 
 def bootstrap_interval(
