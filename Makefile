@@ -39,6 +39,7 @@ bench: setup
 	$(BIN)/python -m benchmarks.update
 	$(BIN)/python -m benchmarks.matmul
 	$(BIN)/python -m benchmarks.chunk
+	$(BIN)/python -m benchmarks.sweep
 	$(BIN)/python -m benchmarks.startup
 	$(BIN)/python -m benchmarks.adaptation
 	$(BIN)/python -m benchmarks.saving

@@ -14,6 +14,7 @@ from ear_jax.process.streams import starting
 # Module and summary of each; the module, imported only when it is called, has a function main(arguments).
 COMMANDS = {
     "train": ("ear_jax.cli.train", "train a policy on a family of tasks, or continue a run"),
+    "sweep": ("ear_jax.cli.sweep", "train with several values of some settings side by side, and compare"),
     "config": ("ear_jax.cli.config", "print the settings of a training command, as a file for `ear train --config`"),
     "evaluate": ("ear_jax.cli.evaluate", "play a run's policy on its tasks, or under any task embedding (LTE)"),
     "interpolate": ("ear_jax.cli.interpolate", "blend the LTEs of two tasks, to do what lies between or beyond them"),

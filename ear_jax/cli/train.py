@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -24,6 +24,9 @@ from ear_jax.process.environment import start_jax
 from ear_jax.process.terminal import results_only, say, sign_of_life
 from ear_jax.runs import records
 from ear_jax.runs.directory import check_place, default_directory
+
+if TYPE_CHECKING:
+    from ear_jax.runs.training import Program
 
 
 @dataclass(frozen=True)
@@ -43,15 +46,23 @@ class TrainCommand:
     dry_run: bool = False
     """Print the settings, the memory they need and their speed on this machine, without training or writing."""
 
+    @property
+    def directory(self) -> Path:
+        """The run's directory."""
+        return self.out or default_directory(self.config)
+
+    def check_place(self) -> None:
+        """Checks that the directory can hold the run; raises UsageError or RunError."""
+        check_place(self.directory)
+
 
 def main(words: list[str]) -> None:
     command = read(words)
     check_effect(command.config)
-    directory = command.out or default_directory(command.config)
     if command.dry_run:
-        print_estimate(command.config, directory)
+        print_estimate(command.config, command.directory)
     else:
-        train(command.config, directory)
+        train(command.config, command.directory)
 
 
 def train(config: Config, directory: Path) -> None:
@@ -91,7 +102,7 @@ def draw_curves(directory: Path) -> None:
 def print_estimate(config: Config, directory: Path) -> None:
     """Prints the estimate of `--dry-run`; raises the errors that `ear train` would raise."""
     from ear_jax.runs.documents import header
-    from ear_jax.runs.estimate import check_memory, gigabytes, memory, times
+    from ear_jax.runs.estimate import check_memory
     from ear_jax.runs.training import make_program
 
     check_place(directory)
@@ -101,7 +112,15 @@ def print_estimate(config: Config, directory: Path) -> None:
     print(header(program, directory))
     for name, value in flat(config).items():
         print(f"  {name.replace('_', '-')} {value}")
-    needed = memory(program)
+    print_cost(program)
+
+
+def print_cost(program: Program) -> None:
+    """Prints the memory that a program needs and its speed here; raises RunError if its state does not fit."""
+    from ear_jax.runs.estimate import check_memory, gigabytes, memory, times
+
+    check_memory(program)
+    config, needed = program.config, memory(program)
     free = "" if needed.available is None else f"; {gigabytes(needed.available)} are free"
     parts = f"replay {gigabytes(needed.replay)}, networks and optimisers {gigabytes(needed.learner)}"
     print(f"memory: {gigabytes(needed.total)} ({parts}){free}")
@@ -114,14 +133,19 @@ def print_estimate(config: Config, directory: Path) -> None:
     )
 
 
-def read(words: list[str]) -> TrainCommand:
+def read(words: list[str], kind: type[Any] = TrainCommand, name: str = "train") -> Any:
     """Parses the command line, over the settings of the file, the preset and the agent that it names.
 
     Mistyped names, options and values are refused before JAX is imported, over a draft of these settings.
+
+    Args:
+      words: the words after the subcommand.
+      kind: the command's dataclass; it has `config`, which alone is required, and `check_place`.
+      name: the subcommand.
     """
     file = _option(words, "--config", "")
     settings = read_settings(Path(file).expanduser()) if file else {}
-    family, rest = _family(words, settings)
+    family, rest = _family(words, settings, name)
     rest = _known(rest, "--agent", lambda name: known_name("agent", name, METHODS))
     rest = _known(rest, "--engine", lambda name: known_name("engine", name, ("auto", *ENGINES)))
     rest = _known(rest, "--preset", lambda name: "+".join((parts(name)[0], *parts(name)[1])))
@@ -133,13 +157,13 @@ def read(words: list[str]) -> TrainCommand:
     drafted = (family, agent) == (FAMILIES[0], "ear")  # whose presets are as drafted
     if drafted or not set(HELP) & set(rest):
         draft = draft_config(family, preset, agent)
-        command = parse(TrainCommand, [family, *rest], "train", TrainCommand(with_settings(draft, settings)))
+        command = parse(kind, [family, *rest], name, kind(with_settings(draft, settings)))
         check(command.config)
-        check_place(command.out or default_directory(command.config))
+        command.check_place()
     with sign_of_life("loading"):
         start_jax()
         base = preset_config(family, preset, agent)
-    return parse(TrainCommand, [family, *rest], "train", TrainCommand(with_settings(base, settings)))
+    return parse(kind, [family, *rest], name, kind(with_settings(base, settings)))
 
 
 def _known(words: list[str], name: str, known: Callable[[str], str]) -> list[str]:
@@ -165,12 +189,12 @@ def _option(words: list[str], name: str, default: str) -> str:
     return value
 
 
-def _family(words: list[str], settings: Settings) -> tuple[str, list[str]]:
+def _family(words: list[str], settings: Settings, command: str) -> tuple[str, list[str]]:
     """Splits the words into the family, which comes first unless a file of settings names it, and the rest."""
     if words and words[0] in HELP:
         return FAMILIES[0], words
     if (not words or words[0].startswith("-")) and "family" in settings:
         return family_name(settings["family"]), words
     if not words or words[0].startswith("-"):
-        raise UsageError(f"name a family first: ear train FAMILY (there are: {', '.join(sorted(FAMILIES))})")
+        raise UsageError(f"name a family first: ear {command} FAMILY (there are: {', '.join(sorted(FAMILIES))})")
     return family_name(words[0]), words[1:]

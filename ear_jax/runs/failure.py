@@ -13,9 +13,10 @@ from ear_jax.runs import records
 NAME = "failure.json"
 
 
-def failed(directory: Path) -> bool:
-    """Returns whether a run left a report."""
-    return (directory / NAME).exists()
+def reported(directory: Path) -> str | None:
+    """Returns the metric that a run's report names, or None if the run has left no report."""
+    path = directory / NAME
+    return records.read_json(path)["not_finite"][0] if path.exists() else None
 
 
 def find_failure(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray, before: int) -> str | None:

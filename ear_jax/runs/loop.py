@@ -19,6 +19,7 @@ import numpy as np
 
 from ear_jax.config import Config, flat, from_dict
 from ear_jax.errors import RunError
+from ear_jax.limits import check
 from ear_jax.process.stopping import Stopped, StopRequest
 from ear_jax.process.terminal import TrainingBar, phase, say
 from ear_jax.runs import checkpoint, records, training
@@ -27,7 +28,7 @@ from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_
 from ear_jax.runs.directory import check_place, check_settings, check_tasks
 from ear_jax.runs.documents import about, differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
-from ear_jax.runs.failure import failed, find_failure
+from ear_jax.runs.failure import find_failure, reported
 from ear_jax.runs.lock import lock_directory
 from ear_jax.runs.seeds import seed_sharding
 from ear_jax.runs.side_by_side import differing, join, members, of_run
@@ -78,6 +79,7 @@ def train_runs(runs: Sequence[Run]) -> None:
     """
     began = time.perf_counter()
     for run in runs:
+        check(run.config)
         check_place(run.directory)
     program = training.make_program(members([run.config for run in runs]))
     for run in runs:
@@ -122,6 +124,13 @@ def _write_settings(path: Path, about: dict[str, Any]) -> None:
         records.write_json(path, {**about, **before, "config": about["config"]})
 
 
+def _check_first_save(runs: Sequence[Run]) -> None:
+    """Raises RunError if runs have trained past the first save, and one of them has lost its checkpoints."""
+    saved = [(len(checkpoint.steps(run.directory / "checkpoints")), run.directory) for run in runs]
+    if max(saved)[0] > 1:
+        raise RunError(f"{min(saved)[1]} has no checkpoints, unlike {max(saved)[1]} that trained beside it")
+
+
 def _ignore(_: str) -> None:
     """Says nothing."""
 
@@ -137,6 +146,7 @@ def _progress(runs: Sequence[Run], program: Program, warn: Callable[[str], None]
         if len(steps) < len(runs) or all(step.epoch == until for step in steps):
             break
     if len(steps) < len(runs):
+        _check_first_save(runs)
         steps, until = [], 0
     for run, step in zip(runs, steps, strict=False):
         _check_same(step.path, step.about, run.config, program)
@@ -204,6 +214,8 @@ def _train_blocks(
                 own = slice(index * run.config.seeds, (index + 1) * run.config.seeds)
                 named = [{"seed": run.config.seed + number, **row} for number, row in enumerate(rows[own])]
                 _record(run, named, finite[own], (epoch - count) * config.sac.updates, alone=len(runs) == 1)
+            if all(reported(run.directory) for run in runs):
+                raise RunError("all runs failed")
             last = _finished(config, epoch, clock()) or request.signal is not None
             if last or blocks % config.checkpoint.blocks == 0:
                 for index, run in enumerate(runs):
@@ -219,7 +231,7 @@ def _train_blocks(
 
 def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: int, alone: bool) -> None:
     """Writes a block's rows; a run whose metrics are not finite ends, unless others train beside it."""
-    if not alone and failed(run.directory):
+    if not alone and reported(run.directory):
         return
     failure = find_failure(run.directory, rows, finite, before)
     if failure and alone:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ear_jax.config import Config, flat
+from ear_jax.config import Config, flat, is_on
 
 # Settings that nothing but the equations reads. At 0, those in OFF_AT_ZERO leave a part of the program out.
 NUMBERS = (
@@ -55,3 +55,14 @@ def of_run(tree: Any, index: int, runs: int) -> Any:
 def join(trees: Sequence[Any]) -> Any:
     """Joins the members of runs; the opposite of `of_run`."""
     return trees[0] if len(trees) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *trees)
+
+
+def programs(configs: Sequence[Config]) -> list[list[int]]:
+    """Groups runs by the program that trains them; returns the indices of each group, in order."""
+    groups: dict[tuple[Any, ...], list[int]] = {}
+    for index, config in enumerate(configs):
+        settings = flat(config)
+        switches = {name: is_on(settings[name]) for name in OFF_AT_ZERO}
+        key = {**settings, **dict.fromkeys(NUMBERS), **switches}
+        groups.setdefault(tuple(key.items()), []).append(index)
+    return list(groups.values())

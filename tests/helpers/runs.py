@@ -41,20 +41,21 @@ def finished_config(**changes: object) -> Config:
     return tiny_config(**{"seeds": 2, "epochs": 24, "checkpoint": CheckpointConfig(blocks=3), **changes})
 
 
-def compiled(config: Config) -> Compiled:
+def compiled(config: Config, numbers: Mapping[str, np.ndarray] | None = None) -> Compiled:
     """Returns the compiled program of a configuration; seed, length and logs do not change it."""
     log = dataclasses.replace(config.log, tensorboard=False, wandb=False)
-    same = {"seed": 0, "epochs": 1, "minutes": None, "log": log, "checkpoint": CheckpointConfig()}
-    return _compiled(dataclasses.replace(config, **same))
+    config = dataclasses.replace(config, seed=0, epochs=1, minutes=None, log=log, checkpoint=CheckpointConfig())
+    return _compiled(config, tuple((name, tuple(values.tolist())) for name, values in (numbers or {}).items()))
 
 
 @functools.cache
-def _compiled(config: Config) -> Compiled:
-    return compile_program(make_program(config), seed_keys(config))
+def _compiled(config: Config, numbers: tuple[tuple[str, tuple[float, ...]], ...]) -> Compiled:
+    arrays = {name: np.asarray(values, np.float32) for name, values in numbers}
+    return compile_program(make_program(config), seed_keys(config), arrays)
 
 
 def compile_once(program: Program, keys: jax.Array, numbers: Mapping[str, np.ndarray] | None = None) -> Compiled:
-    return compile_program(program, keys, numbers) if numbers else compiled(program.config)
+    return compiled(program.config, numbers)
 
 
 def words(config: Config) -> list[str]:
