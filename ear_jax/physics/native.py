@@ -16,6 +16,7 @@ from mujoco.batch import Batch
 
 from ear_jax.physics.kinematics import body_positions
 from ear_jax.physics.state import Motion, Physics
+from ear_jax.process.progress import env_steps
 
 
 class NativeEngine:
@@ -56,6 +57,7 @@ class NativeEngine:
             for field, array in zip(pool.inputs, arrays, strict=True):
                 field[...] = array.reshape(field.shape)
             pool.batch.step(nstep=self._substeps)
+            env_steps.add(count)
             for output, field in zip(outputs, pool.outputs, strict=True):
                 buffer = np.asarray(output)
                 buffer.reshape(field.shape)[...] = field

@@ -13,6 +13,7 @@ from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextCol
 from rich.text import Text
 
 from ear_jax.errors import plain
+from ear_jax.process.progress import env_steps
 
 console = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
@@ -58,10 +59,10 @@ def results_only() -> Iterator[None]:
 
 
 def _live(name: str) -> Progress:
-    """Returns a line that shows a name and the time that passes, and vanishes at the end."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    """Returns a line that shows a name, the time that passes and the steps taken, and vanishes at the end."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(), StepsColumn())
     line = Progress(*columns, console=console, transient=True, disable=not is_live())
-    line.add_task(plain(name), total=None)
+    line.add_task(plain(name), total=None, began=env_steps.taken)
     return line
 
 
@@ -88,6 +89,15 @@ class TrainingBar:
         if self._bar.disable:
             left = _clock(self._bar.tasks[0].time_remaining)
             say(f"epoch {epoch}/{self._epochs} · return {mean_return:.1f} · {speed} · {left} left")
+
+
+class StepsColumn(ProgressColumn):
+    """Environment steps taken since the task began; only the native engine counts its steps."""
+
+    def render(self, task: Task) -> Text:
+        """Returns the count, or nothing while it is 0."""
+        taken = env_steps.taken - task.fields["began"]
+        return Text(f"{taken:,} env steps" if taken else "")
 
 
 class BlockColumn(ProgressColumn):

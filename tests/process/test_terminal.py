@@ -20,6 +20,7 @@ from ear_jax.cli import on_run
 from ear_jax.cli.main import main
 from ear_jax.errors import RunError
 from ear_jax.process import terminal
+from ear_jax.process.progress import env_steps
 
 TRAINING = """
 import time
@@ -81,6 +82,18 @@ def test_the_shortest_form_is_what_matters(width, time_left, monkeypatch):
     bar.update(20, -12.3, 100.0, 200.0)
     line = terminal.BlockColumn().render(bar._bar.tasks[0]).plain
     assert ("20/200" in line, "-12.3" in line, "left" in line) == (True, True, time_left)
+
+
+def test_a_long_roll_out_shows_the_steps_it_took(monkeypatch, capsys):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(terminal, "console", Console(stderr=True, force_terminal=True, width=60))
+    env_steps.add(7)
+    with terminal.phase("rolling out"):
+        env_steps.add(1200)
+        time.sleep(0.15)
+    shown = capsys.readouterr().err
+    assert "1,200 env steps" in shown
+    assert "rolling out: " in shown.splitlines()[-1]
 
 
 def test_a_terminal_shows_the_command_before_it_is_imported():
