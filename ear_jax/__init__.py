@@ -14,6 +14,9 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from ear_jax.gymnasium_ids import REGISTRATION, register_families
+from ear_jax.process.after_import import after_import
+
 if TYPE_CHECKING:
     from ear_jax.agents.tanh_gaussian import squash
     from ear_jax.embeddings.codes import blend, slerp
@@ -48,6 +51,8 @@ _MODULES = {
     "ear_jax.runs.trained": ("Trained", "load"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
+
+after_import(REGISTRATION, register_families)
 
 
 def __getattr__(name: str) -> Any:

@@ -1,13 +1,14 @@
 """The families' names in Gymnasium: `gymnasium.make_vec("ear_jax/HalfCheetahVel-v0", num_envs=10)`.
 
-Gymnasium calls `register_families` when it is imported, as a plug-in, so nothing else may be imported here.
+`import ear_jax` registers them once Gymnasium is imported, before or after it; neither imports the other.
 """
 
 from __future__ import annotations
 
-from ear_jax.names import FAMILIES
+from typing import Any
 
 CAPITALS = {"halfcheetah": "HalfCheetah"}
+REGISTRATION = "gymnasium.envs.registration"
 MODULE = "ear_jax.envs.as_gymnasium"
 
 
@@ -17,16 +18,19 @@ def gymnasium_id(family: str) -> str:
     return f"ear_jax/{''.join(words)}-v0"
 
 
-def register_families() -> None:
-    """Registers all families with Gymnasium; ear_jax/Family-v0 takes any family by name, as `ear train` does."""
-    from gymnasium.envs.registration import register, registry
+def register_families(registration: Any) -> None:
+    """Registers all families with Gymnasium; ear_jax/Family-v0 takes any family by name, as `ear train` does.
+
+    Args:
+      registration: Gymnasium's module `REGISTRATION`.
+    """
+    from ear_jax.names import FAMILIES
 
     ids = {"ear_jax/Family-v0": {}, **{gymnasium_id(family): {"family": family} for family in FAMILIES}}
     for name, arguments in ids.items():
-        if name not in registry:
-            register(
-                name,
-                entry_point=f"{MODULE}:FamilyEnv",
-                vector_entry_point=f"{MODULE}:FamilyVectorEnv",
-                kwargs=dict(arguments),
-            )
+        registration.register(
+            name,
+            entry_point=f"{MODULE}:FamilyEnv",
+            vector_entry_point=f"{MODULE}:FamilyVectorEnv",
+            kwargs=dict(arguments),
+        )

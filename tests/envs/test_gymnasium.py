@@ -14,16 +14,15 @@ from gymnasium.vector import AutoresetMode
 from ear_jax.envs import FAMILIES
 from ear_jax.envs.as_gymnasium import FamilyVectorEnv
 from ear_jax.errors import UsageError
-from ear_jax.gymnasium_ids import gymnasium_id, register_families
+from ear_jax.gymnasium_ids import gymnasium_id
 from tests.helpers.probe import Bandit, Slider
 
 SLIDER = "slider"
 
 
 @pytest.fixture(autouse=True)
-def _registered(monkeypatch):
-    """Also in an installation whose plug-ins were recorded before this one was written."""
-    register_families()
+def _slider(monkeypatch):
+    """Adds a family to those that ship."""
     monkeypatch.setitem(FAMILIES, SLIDER, Slider)
 
 
@@ -119,12 +118,17 @@ def test_mistakes_are_told(arguments, complaint):
         gymnasium.make_vec("ear_jax/Family-v0", **{"family": SLIDER, **arguments})
 
 
-def test_gymnasium_is_imported_without_jax():
-    code = "import gymnasium, sys; from ear_jax.gymnasium_ids import register_families; register_families()"
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}; print('jax' in sys.modules)"], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "False"
+@pytest.mark.parametrize("imports", ["import ear_jax, gymnasium", "import gymnasium, ear_jax"])
+def test_names_are_there_in_either_order_and_cost_no_import_of_jax(imports):
+    code = f"{imports}, sys; gymnasium.spec('ear_jax/AntDir-v0'); print('jax' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("False\n", "")
+
+
+def test_importing_ear_jax_imports_no_gymnasium():
+    code = "import ear_jax, sys; print('gymnasium' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
 
 
 @pytest.mark.slow
