@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("runs", nargs="*", type=Path, metavar="RUN")
     parser.add_argument("--results", type=Path, default=common.RESULTS, help="directory of the JSON lines files")
     options = parser.parse_args()
-    rows = [row for run in options.runs or sorted(RECORDS.iterdir()) for row in rows_of(run)]
+    rows = [row for run in options.runs or sorted(RECORDS.glob("[!.]*")) for row in rows_of(run)]
     path = options.results / "time_to_return.jsonl"
     records.write_text(path, "".join(json.dumps({"benchmark": "time_to_return", **row}) + "\n" for row in rows))
     print(path.read_text(), end="")

@@ -9,6 +9,7 @@ from experiments.inventory import POLICY, Job
 from experiments.paper import Analysis
 
 RUNS = Path("runs")
+IN_HAND = ".reproduce"  # in it: the directory of locks, so that several processes can share a table
 
 
 def train_words(job: Job) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import tempfile
 from dataclasses import dataclass
@@ -14,9 +15,11 @@ import tyro
 from ear_jax import pretrained
 from ear_jax.cli.arguments import parse
 from ear_jax.errors import RunError, UsageError
+from ear_jax.files.replacing import lock_file, replace_file
 from ear_jax.runs import records
 from ear_jax.runs.card import command_line, make_card
 from ear_jax.runs.trained import Trained, load, pick, save
+from experiments.commands import IN_HAND, RUNS
 
 FILE_BYTES, ALL_BYTES = 2_000_000, 10_000_000  # limits for one file and for all together
 
@@ -62,7 +65,7 @@ def publish(record: Path, name: str | None = None, index: int | None = None) -> 
     for path, source in ((policy, "`ear export`"), (record / "metrics.jsonl", "`ear train`")):
         if not path.is_file():
             raise RunError(f"{record} has no {path.name}, which {source} writes")
-    recorded, rows = load(policy), records.read_rows(record / "metrics.jsonl")
+    recorded, rows = load(policy), records.read_rows(record / "metrics.jsonl", required=records.METRICS)
     seeds = recorded.program.config.seeds
     if seeds > 1 and index is None:
         raise UsageError(f"{policy} holds {seeds} seeds and an agent has one: choose it with --policy 0 to {seeds - 1}")
@@ -79,13 +82,18 @@ def publish(record: Path, name: str | None = None, index: int | None = None) -> 
         content = policy.read_bytes()
     check_size(len(content), name)
     card |= {"record": record.resolve().name, "bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-    file = pretrained.FOLDER / f"{name}.safetensors"
-    try:
-        file.write_bytes(content)
-    except OSError as error:
-        raise RunError(f"cannot write {file}: {error.strerror}") from None
-    records.write_json(file.with_suffix(".json"), card)
+    ship(name, content, card)
     return card
+
+
+def ship(name: str, content: bytes, card: dict[str, Any]) -> None:
+    """Writes an agent's file and card; at any moment the agent before or this one loads, as `pretrained.find` does."""
+    file, new = (pretrained.FOLDER / f"{name}.safetensors{kind}" for kind in ("", pretrained.NEW))
+    with lock_file(RUNS / IN_HAND / f"{name}.agent"):
+        with replace_file(new) as scratch:
+            scratch.write_bytes(content)
+        records.write_json(file.with_suffix(".json"), card)
+        os.replace(new, file)
 
 
 def check_size(size: int, name: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -14,16 +15,15 @@ from types import FrameType
 
 from ear_jax.config import from_dict, run_name
 from ear_jax.errors import RunError, UsageError
-from ear_jax.process.stopping import Stopped
+from ear_jax.files.replacing import copy_file, lock_file
+from ear_jax.process.stopping import SIGNALS, Stopped
 from ear_jax.process.terminal import say
 from ear_jax.runs import records
 from ear_jax.runs.lock import InUse, lock_directory
 from experiments import inventory
-from experiments.commands import RUNS, analysis_words, export_words, is_copied, train_words
-from experiments.inventory import POLICY, Job, is_complete, is_kept, missing
+from experiments.commands import IN_HAND, RUNS, analysis_words, export_words, is_copied, train_words
+from experiments.inventory import Job, is_complete, is_kept, missing
 from experiments.paper import Analysis
-
-IN_HAND = ".reproduce"  # directory of locks on jobs in progress, so that several processes can share a table
 
 
 def plan(job: Job) -> list[str]:
@@ -69,13 +69,15 @@ def analyse(job: Job, analysis: Analysis) -> None:
     words = analysis_words(job, analysis)
     document = json.loads(run_ear(words))
     if analysis.picture:
-        shutil.copyfile(document["files"][analysis.picture], job.record / f"{analysis.name}.png")
+        copy_file(Path(document["files"][analysis.picture]), job.record / f"{analysis.name}.png")
     command = shlex.join(["ear", *words])
     records.write_json(job.record / f"{analysis.name}.json", {**document, "command": command, **records.provenance()})
 
 
 def keep(run: Path, name: str | None = None, replace: bool = False) -> Path:
-    """Makes a record of a run with all its seeds.
+    """Makes a record of a run with all its seeds, whole or not at all.
+
+    The same run is recorded again with its analyses, and another one without those of the run before.
 
     Args:
       run: the run directory.
@@ -84,7 +86,7 @@ def keep(run: Path, name: str | None = None, replace: bool = False) -> Path:
 
     Raises:
       UsageError: not a run directory, an invalid name, or another run is recorded under the name.
-      RunError: the run has no metrics, or nothing to export.
+      RunError: the run has no metrics, damaged ones, or nothing to export.
       Stopped: as `run_ear`.
     """
     name = name or run_name(from_dict(records.read_run(run)["config"]))
@@ -93,15 +95,29 @@ def keep(run: Path, name: str | None = None, replace: bool = False) -> Path:
     record = inventory.RECORDS / name
     if not (run / "metrics.jsonl").is_file():
         raise RunError(f"{run} has no metrics yet; nothing was recorded")
-    if not is_copied(run, record):
-        if (record / "metrics.jsonl").exists() and not replace:
+    records.read_rows(run / "metrics.jsonl")  # raises for damaged ones
+    with lock_file(RUNS / IN_HAND / name):
+        same = is_copied(run, record)
+        if not same and (record / "metrics.jsonl").exists() and not replace:
             raise UsageError(f"{record} records another run; choose another --name, or remove that record first")
-        shutil.rmtree(record, ignore_errors=True)
-    record.mkdir(parents=True, exist_ok=True)
-    (record / POLICY).unlink(missing_ok=True)  # possibly left incomplete by a process that was stopped
-    run_ear(export_words(run, record))
-    for name in ("config.json", "metrics.jsonl"):  # last, as a record counts once it has these
-        shutil.copyfile(run / name, record / name)
+        fresh, old = (record.with_name(f".{name}.{kind}") for kind in ("part", "old"))
+        for leftover in (fresh, old):  # of processes that were killed
+            shutil.rmtree(leftover, ignore_errors=True)
+        fresh.mkdir(parents=True)
+        try:
+            run_ear(export_words(run, fresh))
+            for file in ("config.json", "metrics.jsonl"):
+                copy_file(run / file, fresh / file)
+            if same:
+                for path in fresh.iterdir():
+                    os.replace(path, record / path.name)
+            else:
+                if record.exists():
+                    os.replace(record, old)
+                os.replace(fresh, record)
+        finally:
+            shutil.rmtree(fresh, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
     return record
 
 
@@ -118,10 +134,10 @@ def run_ear(words: list[str]) -> str:
 
     def pass_on(number: int, frame: FrameType | None) -> None:
         signals.append(number)
-        if number == signal.SIGTERM:  # Ctrl-C reaches the child directly
-            child.terminate()
+        if number != signal.SIGINT:  # Ctrl-C reaches the child directly
+            child.send_signal(number)
 
-    before = {number: signal.signal(number, pass_on) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, pass_on) for number in SIGNALS}
     try:
         output, _ = child.communicate()
     finally:

@@ -16,11 +16,12 @@ import pytest
 from xdist.scheduler import LoadScopeScheduling
 
 from ear_jax.config import Config
+from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import loop
 from ear_jax.runs.loop import train_run
 from experiments import inventory
 from tests.helpers.quick import compile_quickly
-from tests.helpers.runs import compile_once, finished_config, tiny_config
+from tests.helpers.runs import compile_once, finished_config, times, tiny_config
 
 # Files whose tests share what is compiled or trained, so that one process runs them all; each other file is a group of
 # its own. The groups that take longest come first, so that `--numprocesses 2` ends in both processes at about the same
@@ -113,6 +114,22 @@ def finished_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(finished_once: Path, tmp_path: Path) -> Path:
     """A copy of the finished run, which a test may change."""
     return Path(shutil.copytree(finished_once, tmp_path / "finished"))
+
+
+@pytest.fixture
+def refusal(finished, monkeypatch) -> Callable[..., str]:
+    """Returns the message with which training that run is refused, before anything is compiled or written."""
+    monkeypatch.setattr(loop, "compile_program", lambda *_: pytest.fail("it came to compiling"))
+
+    def refuse(config: Config) -> str:
+        before = times(finished)
+        with pytest.raises((UsageError, RunError)) as raised:
+            train_run(config, finished)
+        assert times(finished) == before
+        assert "\n" not in str(raised.value)
+        return str(raised.value)
+
+    return refuse
 
 
 @pytest.fixture

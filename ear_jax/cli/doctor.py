@@ -88,14 +88,15 @@ def _running() -> dict[str, Any]:
     import jax
 
     from ear_jax.physics import choose_engine
-    from ear_jax.process.runtime import available_bytes, cache_dir, compiler_options, has_amx
+    from ear_jax.process.memory import available
+    from ear_jax.process.runtime import cache_dir, compiler_options, has_amx
 
-    memory = available_bytes()
+    rooms = available()
     return {
         "device": {
             "backend": jax.default_backend(),
             "devices": [str(device.device_kind) for device in jax.local_devices()],
-            "free_memory_gb": None if memory is None else round(memory / 1e9, 1),
+            "free_memory_gb": round(min(room.bytes for room in rooms) / 1e9, 1) if rooms else None,
             "matmul_precision": getattr(jax.config, "jax_default_matmul_precision", None) or "default",
             "amx": has_amx(),
         },

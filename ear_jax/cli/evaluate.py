@@ -13,7 +13,7 @@ from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, print_table
 from ear_jax.embeddings import ltes
 from ear_jax.errors import plain
-from ear_jax.process.terminal import phase
+from ear_jax.process.terminal import phase, say
 from ear_jax.runs import records
 
 
@@ -68,7 +68,7 @@ def keep_evaluation(run: Path, evaluation: dict[str, Any]) -> list[Path]:
     """Writes an evaluation into its run's directory and draws the run's figures; returns their paths."""
     from ear_jax.figures.evaluate import draw_evaluate  # matplotlib takes a second to import
 
-    rows = records.read_rows(run / "metrics.jsonl")
+    rows = records.read_rows(run / "metrics.jsonl", say, records.METRICS)
     return keep(run, "evaluation.json", evaluation, partial(draw_evaluate, rows=rows))
 
 

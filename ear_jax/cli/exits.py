@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import errno
-import sys
 from collections.abc import Callable
 
 from ear_jax.errors import RunError, UsageError, plain, user_fault
 from ear_jax.process.stopping import Stopped
-from ear_jax.process.streams import flush_results, open_streams
+from ear_jax.process.streams import Stderr, flush_results, open_streams
 
 UNWRITTEN = (errno.EBADF, errno.ENOSPC, errno.EIO)  # of a print; those that write files name them
 
@@ -17,7 +16,7 @@ def exit_code(program: str, command: Callable[[], None]) -> int:
     """Runs a command, prints its error if it fails, and returns the exit code.
 
     Returns:
-      0, 1 (failed), 2 (usage), or 130 or 143 (stopped by a signal, with its state saved).
+      0, 1 (failed), 2 (usage), or 130, 143 or 129 (stopped by a signal, with its state saved).
     """
     open_streams()
     code = _code_of(program, command)
@@ -51,5 +50,5 @@ def _code_of(program: str, command: Callable[[], None]) -> int:
 
 
 def _report(program: str, message: str, code: int) -> int:
-    print(f"{program}: {plain(' '.join(message.splitlines()))}", file=sys.stderr)
+    print(f"{program}: {plain(' '.join(message.splitlines()))}", file=Stderr())
     return code

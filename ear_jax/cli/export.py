@@ -15,6 +15,7 @@ from ear_jax.cli.on_run import load_run
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.replacing import write_text
 from ear_jax.pretrained import SUFFIX
+from ear_jax.process.terminal import say
 from ear_jax.runs import records
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def main(words: list[str]) -> None:
     seeds = trained.program.config.seeds
     if seeds > 1 and (command.card or command.file.suffix == ONNX):
         raise UsageError(f"{command.run} has {seeds} policies; choose one with --policy 0 to {seeds - 1}")
-    rows = records.read_rows(command.run / "metrics.jsonl")
+    rows = records.read_rows(command.run / "metrics.jsonl", say, records.METRICS)
     model_card = _model_card(command, trained, rows) if command.card else None
     written: dict[str, Any] = {"file": str(command.file), "epoch": trained.epoch}
     if command.file.suffix == ONNX:

@@ -16,6 +16,7 @@ from ear_jax.names import ENGINES, family_name
 from ear_jax.process.environment import start_jax
 from ear_jax.process.terminal import sign_of_life
 from ear_jax.runs import records
+from ear_jax.runs.directory import is_run
 
 if TYPE_CHECKING:
     from ear_jax.runs.trained import Trained
@@ -63,7 +64,7 @@ def check_run(run: Path) -> None:
     """Raises UsageError or RunError if there is neither a run, a file nor a pretrained agent of that name."""
     if str(run).startswith(pretrained.PREFIX):
         pretrained.card(str(run).removeprefix(pretrained.PREFIX))
-    elif not run.is_file():
+    elif not (run.is_file() or is_run(run)):
         records.read_run(run)
 
 

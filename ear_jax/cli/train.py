@@ -76,7 +76,7 @@ def train(config: Config, directory: Path) -> None:
         draw_curves(directory)
         raise
     draw_curves(directory)
-    rows = records.read_rows(directory / "metrics.jsonl")
+    rows = records.read_rows(directory / "metrics.jsonl", lambda _: None)  # the run itself has told of damage
     if not rows:
         return
     say_summary(directory, rows)
@@ -116,14 +116,13 @@ def print_estimate(config: Config, directory: Path) -> None:
 
 
 def print_cost(program: Program) -> None:
-    """Prints the memory that a program needs and its speed here; raises RunError if its state does not fit."""
-    from ear_jax.runs.estimate import check_memory, gigabytes, memory, times
+    """Prints the memory that a program needs and its speed here; raises RunError if it does not fit."""
+    from ear_jax.runs.estimate import check_memory, describe, gigabytes, memory, times
 
     check_memory(program)
     config, needed = program.config, memory(program)
-    free = "" if needed.available is None else f"; {gigabytes(needed.available)} are free"
-    parts = f"replay {gigabytes(needed.replay)}, networks and optimisers {gigabytes(needed.learner)}"
-    print(f"memory: {gigabytes(needed.total)} ({parts}){free}")
+    free = f"; {gigabytes(needed.room.bytes)} are free under {needed.room.limit}" if needed.room else ""
+    print(f"memory: {gigabytes(needed.total)} ({describe(needed)}){free}")
     taken = times(config)
     blocks = math.ceil(config.epochs / config.log.epochs)
     minutes = (config.epochs * taken.epoch + blocks * taken.evaluation) / 60

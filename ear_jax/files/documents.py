@@ -18,8 +18,12 @@ KEY = "checksum"
 
 
 def write_json(path: Path, document: dict[str, Any]) -> None:
-    """Replaces a JSON document; raises RunError if it cannot be written."""
-    write_text(path, json.dumps(signed(document), indent=2, allow_nan=False) + "\n")
+    """Replaces a JSON document; raises RunError if it cannot be written, or has a number that is not finite."""
+    try:
+        text = json.dumps(signed(document), indent=2, allow_nan=False)
+    except ValueError as error:
+        raise RunError(f"cannot write {path}: {error}") from None
+    write_text(path, text + "\n")
 
 
 def read_json(path: Path) -> dict[str, Any]:

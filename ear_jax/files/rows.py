@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from ear_jax.errors import RunError
 from ear_jax.files.documents import KEY, parse, signed, verified
+
+Warn = Callable[[str], None]
+Keys = Mapping[str, type | tuple[type, ...]]  # name → type of the value
+NO_KEYS: Keys = {}
 
 
 def append_rows(path: Path, rows: list[dict[str, Any]]) -> str:
@@ -26,27 +30,39 @@ def append_rows(path: Path, rows: list[dict[str, Any]]) -> str:
     return lines
 
 
-def read_rows(path: Path, warn: Callable[[str], None] | None = None) -> list[dict[str, Any]]:
+def read_rows(path: Path, warn: Warn | None = None, required: Keys = NO_KEYS) -> list[dict[str, Any]]:
     """Returns all rows, without their checksums; a last line that is cut off is skipped.
 
     Args:
       path: the file; a missing one has no rows.
       warn: called with a line for each damaged row, which is then skipped.
+      required: the keys that every row has, and the types of their values.
 
     Raises:
       RunError: the file cannot be read, or a row is damaged and `warn` is not given.
     """
-    return [row for _, row in read_lines(path, warn) if row is not None]
-
-
-def read_lines(path: Path, warn: Callable[[str], None] | None = None) -> Iterator[tuple[str, dict[str, Any] | None]]:
-    """Yields each line, with its end, and its row, None for a damaged one; arguments and errors as of `read_rows`."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
-        return
+        return []
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}") from None
+    return [row for _, row in lines_of(text, path, warn, required) if row is not None]
+
+
+def lines_of(
+    text: str, path: Path, warn: Warn | None = None, required: Keys = NO_KEYS
+) -> Iterator[tuple[str, dict[str, Any] | None]]:
+    """Yields each line of a text, with its end, and its row, None for a damaged one.
+
+    Args:
+      text: the content of a file.
+      path: its name, for messages.
+      warn, required: as of `read_rows`.
+
+    Raises:
+      RunError: a row is damaged, and `warn` is not given.
+    """
     lines = text.split("\n")  # and not at other characters that end a line, which a flipped bit may make
     checked = False
     for number, line in enumerate(lines, start=1):
@@ -57,6 +73,9 @@ def read_lines(path: Path, warn: Callable[[str], None] | None = None) -> Iterato
             if checked and KEY not in document:
                 raise ValueError("it has no checksum")
             row, checked = verified(document), KEY in document
+            for name, kind in required.items():
+                if not isinstance(row.get(name), kind):
+                    raise ValueError(f"its {name!r} is missing, or of another type")
             yield line + "\n", row
         except ValueError as error:
             fault = f"{path} is damaged: line {number}: {error}"

@@ -9,6 +9,7 @@ import os
 from typing import Any
 
 from ear_jax.errors import RunError
+from ear_jax.process.memory import check_start
 
 # Settings of JAX that change results or the layout of a saved state, or under which the code fails; and values needed.
 NEEDED: dict[str, Any] = {
@@ -27,6 +28,7 @@ THEIRS = ("JAX_", "XLA_", "CUDA_", "MUJOCO_", "PYOPENGL_")  # beginnings of vari
 
 def start_jax() -> None:
     """Imports JAX and MuJoCo and turns on the compilation cache; raises RunError, in one line, if they cannot work."""
+    check_start()
     for problem in problems():
         raise RunError(problem)
     from ear_jax.process.runtime import enable_cache

@@ -67,16 +67,3 @@ def has_amx() -> bool:
 def tree_bytes(tree: Any) -> int:
     """Returns the size in bytes of a pytree of arrays or of their shapes."""
     return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree))
-
-
-def available_bytes(devices: int = 1) -> int | None:
-    """Returns the bytes free for arrays on the first `devices` devices together, or None if unknown."""
-    stats = [device.memory_stats() for device in jax.local_devices()[:devices]]
-    if all(memory and "bytes_limit" in memory for memory in stats):
-        return devices * min(memory["bytes_limit"] - memory.get("bytes_in_use", 0) for memory in stats)
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-    except OSError:
-        return None
-    kib = next((line.split()[1] for line in lines if line.startswith("MemAvailable:")), None)
-    return None if kib is None else int(kib) * 1024

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import codecs
+import contextlib
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 PLAIN = {"β": "beta", "σ": "sigma", "φ": "phi", "ψ": "psi", "γ": "gamma", "…": "...", "−": "-", "–": "-", "—": "-"}
 PLAIN |= {
@@ -80,3 +82,27 @@ def flush_results() -> str | None:
         return None
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left is not tried again at exit
     return reason
+
+
+class Stderr:
+    """The process's stderr without its errors; after the first one its text goes nowhere."""
+
+    def write(self, text: str) -> int:
+        with self._muted_on_error():
+            sys.stderr.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._muted_on_error():
+            sys.stderr.flush()
+
+    @contextmanager
+    def _muted_on_error(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:  # its reader has left, its disk is full, its terminal is gone
+            with contextlib.suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stderr, name)

@@ -1,9 +1,11 @@
-"""Progress on stderr: a live line on a terminal that can move its cursor, plain lines otherwise."""
+"""Progress on stderr: a live line on a terminal that can move its cursor, plain lines otherwise.
+
+That nobody reads it stops nothing.
+"""
 
 from __future__ import annotations
 
 import contextlib
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,8 +16,9 @@ from rich.text import Text
 
 from ear_jax.errors import plain
 from ear_jax.process.progress import env_steps
+from ear_jax.process.streams import Stderr
 
-console = Console(stderr=True, highlight=False, markup=False, emoji=False)
+console = Console(file=Stderr(), highlight=False, markup=False, emoji=False)  # type: ignore[arg-type]
 
 
 def say(line: str) -> None:
@@ -54,7 +57,7 @@ def sign_of_life(name: str) -> Iterator[None]:
 @contextmanager
 def results_only() -> Iterator[None]:
     """Sends what is printed on stdout to stderr meanwhile."""
-    with contextlib.redirect_stdout(sys.stderr):
+    with contextlib.redirect_stdout(console.file):
         yield
 
 

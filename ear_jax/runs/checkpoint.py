@@ -1,18 +1,20 @@
 """Saving and restoring training states through Orbax, which only this module calls.
 
-A step is a directory named by its epoch. It holds Orbax's `state/`, `about.json` (the run and the layout of its state)
-and a manifest of checksums. It is written under a temporary name and then renamed, so a step is complete or absent. The
-newest good step is found by listing the directory and verifying checksums.
+A step is a directory named by its epoch. It holds Orbax's `state/`, `about.json` (the run, the epoch and the layout of
+its state), the run's rows of metrics until then, and a manifest of checksums. It is written under a temporary name and
+then renamed, so a step is complete or absent. The newest good step is found by listing the directory and verifying
+checksums.
 """
 
 from __future__ import annotations
 
-import json
+import contextlib
 import logging
 import os
+import re
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ import numpy as np
 
 from ear_jax.errors import RunError
 from ear_jax.runs import manifest, records
+from ear_jax.runs.directory import FOLDER, steps
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 
 _default_unraisablehook = sys.unraisablehook
@@ -45,8 +48,10 @@ def _orbax() -> Any:
     return orbax.checkpoint
 
 
+__all__ = ["FOLDER", "steps"]  # used as `checkpoint.…`
 FORMAT = 1
 KEEP = 2  # number of newest steps to keep
+ROWS = "metrics.jsonl"
 
 
 @dataclass(frozen=True)
@@ -57,8 +62,14 @@ class Step:
     path: Path
     about: dict[str, Any]  # the `about` given to `save`, and the state's layout
 
+    @property
+    def rows(self) -> str | None:
+        """The lines of the run's metrics until this step; None in steps of earlier versions."""
+        path = self.path / ROWS
+        return path.read_text(encoding="utf-8") if path.exists() else None
 
-def save(directory: Path, epoch: int, state: Any, about: dict[str, Any]) -> None:
+
+def save(directory: Path, epoch: int, state: Any, about: dict[str, Any], rows: str = "") -> None:
     """Writes a step atomically, then deletes the steps that need not be kept.
 
     Args:
@@ -66,6 +77,7 @@ def save(directory: Path, epoch: int, state: Any, about: dict[str, Any]) -> None
       epoch: the step's name.
       state: any pytree of arrays, including random keys.
       about: a JSON document that describes the run.
+      rows: the lines of its metrics so far.
 
     Raises:
       RunError: the step could not be written; earlier steps are unchanged.
@@ -73,17 +85,17 @@ def save(directory: Path, epoch: int, state: Any, about: dict[str, Any]) -> None
     final, scratch = directory / str(epoch), directory / f".{epoch}.part"
     leaves = named_leaves(state)
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        for leftover in directory.glob(".*.part"):  # from processes that were killed
-            shutil.rmtree(leftover)
-        scratch.mkdir()
+        clean(directory)
+        scratch.mkdir(parents=True)
         ocp = _orbax()
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as orbax:
             orbax.save((scratch / "state").absolute(), leaves)
         document = {**about, "format": FORMAT, "epoch": epoch, "leaves": layout(leaves)}
         records.write_json(scratch / "about.json", document)
+        if rows:
+            records.write_text(scratch / ROWS, rows)
         manifest.write(scratch)
-        shutil.rmtree(final, ignore_errors=True)
+        _remove(final)
         os.replace(scratch, final)
     except Exception as error:  # Orbax and TensorStore wrap disk errors in many types
         shutil.rmtree(scratch, ignore_errors=True)
@@ -91,7 +103,33 @@ def save(directory: Path, epoch: int, state: Any, about: dict[str, Any]) -> None
     present = steps(directory)
     good = [step for step in present if step <= epoch]  # later steps are damaged, or the run would have resumed there
     for old in {*present} - {*kept(good)}:
-        shutil.rmtree(directory / str(old), ignore_errors=True)
+        with contextlib.suppress(OSError):
+            _remove(directory / str(old))
+
+
+def clean(directory: Path) -> None:
+    """Removes what killed processes left in a run's `checkpoints`, of whatever type; raises RunError if that fails."""
+    try:
+        for path in directory.iterdir() if directory.is_dir() else ():
+            if re.fullmatch(r"\..*\.(part|old)", path.name):
+                _remove(path)
+    except OSError as error:
+        raise RunError(f"cannot remove {error.filename}: {error.strerror}") from None
+
+
+def _remove(path: Path) -> None:
+    """Removes a file, a link or a directory, if there is one; its name is gone before the files in it are.
+
+    A process that reads a step meanwhile then sees that it is gone, and does not take it for damaged.
+    """
+    aside = path if path.name.startswith(".") else path.with_name(f".{path.name}.old")
+    if aside != path and os.path.lexists(path):
+        _remove(aside)
+        os.replace(path, aside)
+    if aside.is_dir() and not aside.is_symlink():
+        shutil.rmtree(aside)
+    else:
+        aside.unlink(missing_ok=True)
 
 
 def kept(epochs: Sequence[int]) -> list[int]:
@@ -103,21 +141,16 @@ def kept(epochs: Sequence[int]) -> list[int]:
     return sorted({*epochs[-KEEP:], *first.values()})
 
 
-def steps(directory: Path) -> list[int]:
-    """Returns the epochs of all finished steps, ascending, including damaged ones."""
-    if not directory.is_dir():
-        return []
-    named = (path for path in directory.iterdir() if path.name.isdecimal() and not path.is_symlink())
-    return sorted(int(path.name) for path in named if path.is_dir())
-
-
-def newest(directory: Path, warn: Callable[[str], None], until: int | None = None) -> Step | None:
+def newest(
+    directory: Path, warn: Callable[[str], None], until: int | None = None, run: str | None = None
+) -> Step | None:
     """Returns the newest undamaged step, or None if there are no steps.
 
     Args:
       directory: the run's `checkpoints`.
-      warn: called with a line for each newer step that is damaged.
+      warn: called with a line for each newer step that is damaged, or is not what its name and place say.
       until: leave out steps of later epochs.
+      run: the identifier of the run, if it is known; steps of another run count as damaged.
 
     Raises:
       RunError: all steps are damaged.
@@ -127,12 +160,16 @@ def newest(directory: Path, warn: Callable[[str], None], until: int | None = Non
         if until is not None and epoch > until:
             continue
         path = directory / str(epoch)
-        fault = manifest.fault(path)
-        if fault is None:
-            for line in faults:
-                warn(f"warning: {line}; going back to epoch {epoch}")
-            return Step(epoch, path, _read_about(path))
-        faults.append(f"{path} is damaged: {fault}")
+        try:
+            step = _read_step(path, epoch, run)
+        except _Fault as fault:
+            if not path.exists():  # a process that trains has removed it since it was listed
+                return newest(directory, warn, until, run)
+            faults.append(f"{path} is damaged: {fault}")
+            continue
+        for line in faults:
+            warn(f"warning: {line}; going back to epoch {epoch}")
+        return step
     if faults:
         others = f", and {len(faults) - 1} older too" if len(faults) > 1 else ""
         raise RunError(f"{faults[0]}{others}; no good checkpoint is left (move {directory} away to start from scratch)")
@@ -151,7 +188,7 @@ def restore(step: Step, like: Any, partly: bool = False) -> Any:
       The state, on JAX's default device.
 
     Raises:
-      RunError: the saved state has another structure, or cannot be read.
+      RunError: the saved state has another structure, has counters that make no sense, or cannot be read.
     """
     wanted = named_leaves(like)
     difference = first_difference(layout(wanted), step.about["leaves"], partly)
@@ -165,14 +202,42 @@ def restore(step: Step, like: Any, partly: bool = False) -> Any:
             arrays = orbax.restore((step.path / "state").absolute(), request)
     except Exception as error:
         raise RunError(f"{step.path} cannot be read: {_reason(error)}") from error
+    _check_counters(step, arrays)
     return rebuild(like, arrays)
 
 
-def _read_about(path: Path) -> dict[str, Any]:
-    about = json.loads((path / "about.json").read_text())
+def _check_counters(step: Step, arrays: Mapping[str, np.ndarray]) -> None:
+    """Raises RunError if a number that only counts is negative, or is not what the step's epoch makes of it."""
+    for name, array in arrays.items():
+        if array.size and np.issubdtype(array.dtype, np.signedinteger):
+            low, high = array.min(), array.max()
+            least = step.epoch if name in ("epoch", "collected") else 0
+            if low < least or (name == "epoch" and high != step.epoch):
+                wrong = f"{name} is {low if low < least else high}"
+                raise RunError(f"{step.path} is not the state of a run at epoch {step.epoch}: {wrong}")
+
+
+class _Fault(Exception):
+    """A step is damaged, or is not what its name and place say."""
+
+
+def _read_step(path: Path, epoch: int, run: str | None) -> Step:
+    fault = manifest.fault(path)
+    if fault is not None:
+        raise _Fault(fault)
+    try:
+        about = records.read_json(path / "about.json")
+    except RunError as error:
+        raise _Fault(error) from None
     if about.get("format") != FORMAT:
         raise RunError(f"{path} has format {about.get('format')}, but this version of ear_jax reads {FORMAT}")
-    return about
+    if about.get("epoch") != epoch:
+        raise _Fault(f"it is the checkpoint of epoch {about.get('epoch')}")
+    if run is not None and about.get("run", run) != run:  # steps of earlier versions do not name their run
+        raise _Fault("it is the checkpoint of another run")
+    if not isinstance(about.get("leaves"), dict):
+        raise _Fault("about.json does not list its arrays")
+    return Step(epoch, path, about)
 
 
 def _reason(error: Exception) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import reprlib
 from itertools import zip_longest
 from pathlib import Path
@@ -17,8 +18,9 @@ if TYPE_CHECKING:
 
 # Settings that may change when a run is continued, as they do not affect what an epoch computes.
 MAY_CHANGE = ("epochs", "minutes", "engine", "checkpoint.blocks", "checkpoint.replay", "log.tensorboard", "log.wandb")
+FOLDER = "checkpoints"
 # Files that a process leaves if it is killed before it wrote config.json.
-UNSTARTED = {"lock", "config.json.part"}
+UNSTARTED = r"lock|config\.json\.part|\.config\.json\.[0-9a-f]+\.part"
 
 
 def default_directory(config: Config) -> Path:
@@ -38,9 +40,27 @@ def check_place(directory: Path) -> None:
         raise UsageError(f"--out {directory} needs a directory, but {existing} is a file")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise RunError(f"cannot write in {existing}")
+    checkpoints = directory / FOLDER
+    if checkpoints.is_symlink() and not checkpoints.exists():
+        raise RunError(f"{checkpoints} is a link to {os.readlink(checkpoints)}, which is not there: mount or remove it")
+    if checkpoints.exists() and not (checkpoints.is_dir() and os.access(checkpoints, os.W_OK | os.X_OK)):
+        raise RunError(f"{checkpoints} is not a directory that can be written; move it away")
     names = {path.name for path in directory.iterdir()} if directory.exists() else set()
-    if "config.json" not in names and not names <= UNSTARTED:
+    if not is_run(directory) and not all(re.fullmatch(UNSTARTED, name) for name in names):
         raise UsageError(f"--out {directory} is neither empty nor a run directory; name another")
+
+
+def is_run(directory: Path) -> bool:
+    """Returns whether a directory holds a run, whose config.json may be lost."""
+    return (directory / "config.json").is_file() or bool(steps(directory / FOLDER))
+
+
+def steps(directory: Path) -> list[int]:
+    """Returns the epochs of all finished steps, ascending, including damaged ones."""
+    if not directory.is_dir():
+        return []
+    named = (path for path in directory.iterdir() if re.fullmatch(r"0|[1-9][0-9]*", path.name))
+    return sorted(int(path.name) for path in named if path.is_dir() and not path.is_symlink())
 
 
 def check_settings(holder: Path, document: dict[str, Any], config: Config) -> None:

@@ -16,6 +16,7 @@ from ear_jax.errors import RunError
 from ear_jax.learning.episodes import Episodes
 from ear_jax.methods import find_method
 from ear_jax.process import runtime
+from ear_jax.process.memory import Room, available
 from ear_jax.process.terminal import phase
 from ear_jax.runs import training
 from ear_jax.runs.seeds import devices_for
@@ -23,6 +24,9 @@ from ear_jax.runs.training import Program
 
 TIMED = 5  # steps and updates
 REPEATS = 3  # the fastest counts
+# What a run takes on the CPU beside its state, as measured.
+COMPILING, COMPILING_RESERVES = 950_000_000, 1_300_000_000  # bytes used, and bytes of address space
+SAVING = 1.0  # times the state
 
 
 @dataclass(frozen=True)
@@ -31,8 +35,15 @@ class Memory:
 
     replay: int
     learner: int  # networks, targets and optimisers
-    total: int
-    available: int | None  # None if unknown
+    state: int  # both, the environments and counters
+    compiling: int
+    saving: int
+    room: Room | None  # under the limit that is nearest; None if none is known
+
+    @property
+    def total(self) -> int:
+        """All of it: what compiling took is not given back before the first save."""
+        return self.state + self.compiling + self.saving
 
 
 @dataclass(frozen=True)
@@ -45,20 +56,42 @@ class Times:
 
 
 def memory(program: Program) -> Memory:
-    """Returns the memory of a run's state, without allocating it."""
-    state = jax.eval_shape(jax.vmap(partial(training.init, program)), training.seed_keys(program.config))
-    replay, learner, total = (runtime.tree_bytes(part) for part in (state.replay, state.learner, state))
-    return Memory(replay, learner, total, runtime.available_bytes(devices_for(program.config.seeds)))
+    """Returns the memory that a run will take beside what this process has, without allocating it."""
+    state = jax.eval_shape(lambda: jax.vmap(partial(training.init, program))(training.seed_keys(program.config)))
+    replay, learner, whole = (runtime.tree_bytes(part) for part in (state.replay, state.learner, state))
+    rooms = available(devices_for(program.config.seeds))
+    needed = [Memory(replay, learner, whole, *_beside(whole, room), room) for room in rooms]
+    return min(needed, key=_spare, default=Memory(replay, learner, whole, *_beside(whole, None), None))
+
+
+def _beside(state: int, room: Room | None) -> tuple[int, int]:
+    """Returns the bytes that compiling and saving a state take under a limit."""
+    if room and room.of_device:
+        return 0, 0  # both take place on the host
+    return (COMPILING_RESERVES if room and room.virtual else COMPILING), int(SAVING * state)
+
+
+def _spare(needed: Memory) -> int:
+    return (needed.room.bytes if needed.room else 0) - needed.total
 
 
 def check_memory(program: Program) -> None:
-    """Raises RunError, with the sizes, if a run's state does not fit in memory."""
+    """Raises RunError, with the sizes and the limit, if a run does not fit in memory."""
     needed = memory(program)
-    if needed.available is not None and needed.total > needed.available:
+    if needed.room is not None and _spare(needed) < 0:
         raise RunError(
-            f"this run needs {gigabytes(needed.total)} of memory, {gigabytes(needed.replay)} of it for replay, but "
-            f"only {gigabytes(needed.available)} is free; lower --replay.capacity or --seeds"
+            f"this run needs {gigabytes(needed.total)} of memory ({describe(needed)}), but only "
+            f"{gigabytes(max(0, needed.room.bytes))} is free under {needed.room.limit}; "
+            "lower --replay.capacity or --seeds, or raise the limit"
         )
+
+
+def describe(needed: Memory) -> str:
+    """Returns the parts of a run's memory in words."""
+    return (
+        f"replay {gigabytes(needed.replay)}, networks and optimisers {gigabytes(needed.learner)}, "
+        f"compiling {gigabytes(needed.compiling)}, saving {gigabytes(needed.saving)}"
+    )
 
 
 def gigabytes(count: int) -> str:

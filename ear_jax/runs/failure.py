@@ -61,5 +61,5 @@ def _numbers(row: dict[str, Any]) -> list[tuple[str, float]]:
 
 
 def _last_row(directory: Path, seed: int) -> dict[str, Any] | None:
-    rows = [row for row in records.read_rows(directory / "metrics.jsonl") if row["seed"] == seed]
+    rows = [row for row in records.read_rows(directory / "metrics.jsonl", lambda _: None) if row["seed"] == seed]
     return rows[-1] if rows else None

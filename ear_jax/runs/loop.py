@@ -6,6 +6,7 @@ program's leading axis are the seeds of all runs, run by run.
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -17,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ear_jax.config import Config, flat, from_dict
+from ear_jax.config import Config
 from ear_jax.errors import RunError
 from ear_jax.limits import check
 from ear_jax.process.stopping import Stopped, StopRequest
@@ -29,6 +30,7 @@ from ear_jax.runs.directory import check_place, check_settings, check_tasks
 from ear_jax.runs.documents import about, differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
 from ear_jax.runs.failure import find_failure, reported
+from ear_jax.runs.history import FIRST, LOG, History, note_first_step, read_history, write_history
 from ear_jax.runs.lock import lock_directory
 from ear_jax.runs.seeds import seed_sharding
 from ear_jax.runs.side_by_side import differing, join, members, of_run
@@ -44,15 +46,21 @@ class Run:
     directory: Path
     about: dict[str, Any] = field(default_factory=dict)  # the document of its config.json and checkpoints
     track: Callable[[list[dict[str, Any]]], None] = lambda _: None  # copies rows of metrics elsewhere
+    rows: list[str] = field(default_factory=list)  # lines of its metrics.jsonl, to which training adds
 
 
 @dataclass(frozen=True)
 class Progress:
     """The point that runs training side by side have reached."""
 
+    histories: list[History]  # of each run
     steps: list[Step]  # of each run, of one epoch; empty before the first
     epoch: int
-    seconds: float  # trained until then
+
+    @property
+    def seconds(self) -> float:
+        """The seconds trained until then."""
+        return max(history.seconds for history in self.histories) if self.steps else 0.0
 
 
 def train_run(config: Config, directory: Path) -> None:
@@ -82,24 +90,23 @@ def train_runs(runs: Sequence[Run]) -> None:
         check(run.config)
         check_place(run.directory)
     program = training.make_program(members([run.config for run in runs]))
-    for run in runs:
-        if (run.directory / "config.json").exists():
-            _check_same(run.directory, records.read_run(run.directory), run.config, program)
     progress = _progress(runs, program, say)
     if progress.steps and _finished(program.config, progress.epoch, progress.seconds):
         done = f"{progress.epoch} epochs, {progress.seconds / 60:.1f} minutes"
         say(f"{_place(runs)} is finished: {done} (raise --epochs or --minutes for more)")
+        for run, history in zip(runs, progress.histories, strict=True):
+            if history.damaged:
+                with lock_directory(run.directory, say):
+                    write_history(run.directory, history.settings, history.rows)
         return
     check_memory(program)
-    runs = [replace(run, about=about(program, run.config)) for run in runs]
     with ExitStack() as held:
         for run in runs:
             held.enter_context(lock_directory(run.directory, say))
         request = held.enter_context(StopRequest(say))
         progress = _progress(runs, program, _ignore)  # another process may have trained meanwhile
-        for run in runs:
-            _write_settings(run.directory / "config.json", run.about)
-            records.keep_rows(run.directory / "metrics.jsonl", progress.epoch)
+        started = bool(progress.steps)
+        runs = [_prepare(run, program, past, started) for run, past in zip(runs, progress.histories, strict=True)]
         runs = [replace(run, track=held.enter_context(tracking(run.directory, run.config, say))) for run in runs]
         say(header(replace(program, config=runs[0].config), _place(runs)))
         keys = jnp.concatenate([training.seed_keys(run.config) for run in runs])
@@ -117,11 +124,18 @@ def _place(runs: Sequence[Run]) -> str:
     return str(first) if len(runs) == 1 else f"{first.parent} ({len(runs)} runs side by side)"
 
 
-def _write_settings(path: Path, about: dict[str, Any]) -> None:
-    """Writes config.json; for a continued run it updates only the settings, such as a higher number of epochs."""
-    before = records.read_run(path.parent) if path.exists() else {}
-    if flat(from_dict(before.get("config", {"family": ""}))) != flat(from_dict(about["config"])):
-        records.write_json(path, {**about, **before, "config": about["config"]})
+def _prepare(run: Run, program: Program, history: History, started: bool) -> Run:
+    """Writes what the run's directory should hold before it trains on, and returns the run with its past.
+
+    For a continued run config.json keeps what it tells of the start, and gets the settings, which may name more epochs.
+    """
+    document, past = about(program, run.config), history.settings
+    document["run"] = past.get("run") or secrets.token_hex(8)
+    first = past.get(FIRST) or history.step.epoch if started and history.step else None
+    rows = history.rows if started else ""
+    checkpoint.clean(run.directory / checkpoint.FOLDER)
+    write_history(run.directory, {**document, **past, "config": document["config"], FIRST: first}, rows)
+    return replace(run, about=document, rows=[rows])
 
 
 def _check_first_save(runs: Sequence[Run]) -> None:
@@ -139,19 +153,21 @@ def _progress(runs: Sequence[Run], program: Program, warn: Callable[[str], None]
     """Returns the newest good step of each run at the newest epoch of which all have one."""
     steps, until = [], None
     while True:
-        found = [checkpoint.newest(run.directory / "checkpoints", warn, until) for run in runs]
+        histories = [read_history(run.directory, warn, until) for run in runs]
         warn = _ignore  # the same damage again
-        steps = [step for step in found if step]
+        steps = [history.step for history in histories if history.step]
         until = min((step.epoch for step in steps), default=0)
         if len(steps) < len(runs) or all(step.epoch == until for step in steps):
             break
     if len(steps) < len(runs):
         _check_first_save(runs)
         steps, until = [], 0
+    for run, history in zip(runs, histories, strict=True):
+        if history.settings:
+            _check_same(run.directory, history.settings, run.config, program)
     for run, step in zip(runs, steps, strict=False):
         _check_same(step.path, step.about, run.config, program)
-    rows = [row for run in runs for row in records.read_rows(run.directory / "metrics.jsonl")]
-    return Progress(steps, until, max((row["seconds"] for row in rows if row["epoch"] <= until), default=0.0))
+    return Progress(histories, steps, until)
 
 
 def _begin(program: Program, compiled: Compiled, keys: jax.Array) -> TrainState:
@@ -239,15 +255,16 @@ def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: in
     if failure:
         say(f"warning: {failure}; the other runs go on")
     else:
-        records.append_rows(run.directory / "metrics.jsonl", rows)
+        run.rows.append(records.append_rows(run.directory / LOG, rows))
         run.track(rows)
 
 
 def _save(run: Run, state: TrainState, last: bool) -> None:
     """Saves a step; a failure ends the run only at its last step, as a full disk may have room again by the next."""
-    kept = state if run.about["replay"] else state.without_replay
+    kept, epoch = state if run.about["replay"] else state.without_replay, int(state.epoch[0])
     try:
-        checkpoint.save(run.directory / "checkpoints", int(state.epoch[0]), kept, run.about)
+        checkpoint.save(run.directory / checkpoint.FOLDER, epoch, kept, run.about, "".join(run.rows))
+        note_first_step(run.directory, epoch)
     except RunError as error:
         if last:
             raise RunError(f"{error}; the same command continues from the previous checkpoint") from error

@@ -20,11 +20,17 @@ import ear_jax
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.documents import read_json, write_json
 from ear_jax.files.replacing import folder, write_text
-from ear_jax.files.rows import append_rows, read_lines, read_rows
+from ear_jax.files.rows import Keys, append_rows, read_rows
 
 __all__ = ["append_rows", "folder", "read_json", "read_rows", "write_json", "write_text"]  # used as `records.…`
 
 RESULTS = ("experiments/records", "benchmarks/results")  # a checkout's results, whose changes do not mark its commit
+# What every row of metrics.jsonl has.
+METRICS: Keys = {
+    **dict.fromkeys(("seed", "epoch", "env_steps", "updates"), int),
+    **dict.fromkeys(("seconds", "mean_return"), (int, float)),
+    "returns": dict,
+}
 PACKAGES = ("jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax", "orbax-checkpoint", "numpy", "gymnasium")
 
 
@@ -38,16 +44,6 @@ def read_run(run: Path) -> dict[str, Any]:
     if not isinstance(document.get("config"), dict):
         raise RunError(f"{path} cannot be read: 'config' is not a table of settings")
     return document
-
-
-def keep_rows(path: Path, last_epoch: int) -> None:
-    """Removes rows past an epoch, which a continued run writes again, and a last line that is cut off.
-
-    A damaged row is left as it is.
-    """
-    if path.exists():
-        lines = read_lines(path, lambda _: None)
-        write_text(path, "".join(line for line, row in lines if row is None or row["epoch"] <= last_epoch))
 
 
 def provenance() -> dict[str, Any]:

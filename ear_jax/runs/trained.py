@@ -20,9 +20,11 @@ from ear_jax.limits import check
 from ear_jax.pretrained import SUFFIX
 from ear_jax.process.runtime import compiler_options
 from ear_jax.process.terminal import say
-from ear_jax.runs import checkpoint, records, training
+from ear_jax.runs import checkpoint, training
+from ear_jax.runs.checkpoint import Step
 from ear_jax.runs.directory import check_tasks
 from ear_jax.runs.export import read_about, read_policy, write_policy
+from ear_jax.runs.history import read_step
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 from ear_jax.runs.seeds import seed_range
 from ear_jax.runs.training import Program
@@ -160,10 +162,16 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
 
 
 def _from_run(directory: Path, family: str | None, engine: str | None) -> Trained:
-    records.read_run(directory)
-    step = checkpoint.newest(directory / "checkpoints", say)
-    if step is None:
-        raise RunError(f"{directory} has no checkpoint yet; the same `ear train` command continues it")
+    step = read_step(directory, say)
+    try:
+        return _from_step(step, directory, family, engine)
+    except RunError:
+        if step.path.exists():
+            raise
+    return _from_run(directory, family, engine)  # a process that trains has removed it meanwhile, after a newer one
+
+
+def _from_step(step: Step, directory: Path, family: str | None, engine: str | None) -> Trained:
     program = _program(directory, step.about, family, engine or step.about["config"]["engine"])
     like = _of_each_seed(program, partial(training.init, program))
     empty = jax.tree.map(lambda _: None, like)

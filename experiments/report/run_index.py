@@ -118,7 +118,7 @@ class RunIndex:
 def _all_runs() -> list[Run]:
     """Returns each seed of each record that has a configuration and at least one row of metrics."""
     runs = []
-    for path in sorted(inventory.RECORDS.glob("*/config.json")):
+    for path in sorted(inventory.RECORDS.glob("[!.]*/config.json")):
         about, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
         for seed in sorted({row["seed"] for row in rows}):
             runs.append(Run(path.parent.name, seed, about, [row for row in rows if row["seed"] == seed]))

@@ -112,7 +112,11 @@ def test_a_mistake_gets_one_clear_line_and_exit_code_2(words, complaint, tmp_pat
 def test_too_large_a_replay_is_refused_with_the_sizes(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["train", "halfcheetah-vel", "--replay.capacity", "2147483647"]) == 1
-    assert re.fullmatch(r"ear: this run needs [\d.]+ GB .* [\d.]+ GB is free; lower .*\n", capsys.readouterr().err)
+    assert re.fullmatch(
+        r"ear: this run needs [\d.]+ GB of memory \(replay [\d.]+ GB, .*, compiling [\d.]+ GB, saving [\d.]+ GB\), "
+        r"but only [\d.]+ GB is free under .*; lower .*\n",
+        capsys.readouterr().err,
+    )
     assert not Path("runs").exists()
 
 

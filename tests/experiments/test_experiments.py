@@ -24,6 +24,7 @@ from experiments import inventory, reproduce
 from experiments.__main__ import main
 from experiments.inventory import is_complete, is_trained, jobs, missing
 from experiments.paper import EXPERIMENTS
+from tests.helpers.faults import each_kill
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     runs = [f"ant-dir-ear-fast{variant}-seed0" for variant in ("", "+no-noise")]
     train, evaluate = "train ant-dir --agent ear --preset fast", "evaluate runs/{} --episodes 5 --json"
-    export = "export runs/{0} records/{0}/policy.safetensors"
+    export = "export runs/{0} records/.{0}.part/policy.safetensors"
     assert workplace == [
         f"{train} --seed 0",
         export.format(runs[0]),
@@ -224,6 +225,43 @@ def test_a_record_of_another_run_is_not_lost(place, finished, capsys):
     assert (own / "metrics.jsonl").read_bytes() == (finished / "metrics.jsonl").read_bytes()
     assert main(["keep", str(finished), "--name", "../away"]) == 2
     assert "cannot name a record" in capsys.readouterr().err
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in directory.iterdir()} if directory.exists() else {}
+
+
+@pytest.mark.parametrize("before", ["nothing", "the same run", "another run"])
+def test_killed_at_any_change_a_record_is_the_one_before_or_the_new_one_or_none(before, workplace, tmp_path):
+    config = preset_config("halfcheetah-vel", "smoke")
+    run, record = tmp_path / "runs" / run_name(config), inventory.RECORDS / run_name(config)
+    write_run(run, config)
+
+    def prepare() -> None:
+        shutil.rmtree(inventory.RECORDS, ignore_errors=True)
+        if before != "nothing":
+            write_run(record, config, **({} if before == "the same run" else {"seconds": 1.0}))
+            (record / "evaluation.json").write_text("{}")
+
+    prepare()
+    one = contents(record)
+    reproduce.keep(run, replace=True)
+    whole = contents(record)
+    assert set(whole) - {"evaluation.json"} == {"config.json", "metrics.jsonl", "policy.safetensors"}
+    assert ("evaluation.json" in whole) == (before == "the same run")
+    for _ in each_kill(prepare, lambda: reproduce.keep(run, replace=True)):
+        assert contents(record) in ([one, {**one, "policy.safetensors": b"policy"}, whole, {}])
+        reproduce.keep(run, replace=before == "another run")
+        assert contents(record) == whole
+        assert not list(inventory.RECORDS.glob(".*"))
+
+
+def test_damaged_metrics_are_not_recorded(place, finished, capsys):
+    path = finished / "metrics.jsonl"
+    path.write_text(path.read_text().replace('"epoch": 6', '"epoch": 7', 1))
+    assert main(["keep", str(finished)]) == 1
+    assert "metrics.jsonl is damaged: line 5: it differs from its checksum" in capsys.readouterr().err
+    assert not inventory.RECORDS.exists()
 
 
 def test_a_run_without_a_policy_leaves_no_record(place, finished):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
 import re
 import shutil
@@ -13,6 +15,7 @@ import pytest
 
 from ear_jax import pretrained
 from ear_jax.envs import make_family
+from ear_jax.errors import RunError, UsageError
 from ear_jax.presets import preset_config
 from ear_jax.runs import records
 from ear_jax.runs.card import CURVE_POINTS, command_line, judge, limits, thinned
@@ -21,6 +24,7 @@ from ear_jax.runs.trained import load
 from experiments import publish
 from experiments.__main__ import main
 from experiments.inventory import RECORDS
+from tests.helpers.faults import each_kill, flips
 
 POLICY, METRICS, EVALUATION = "policy.safetensors", "metrics.jsonl", "evaluation.json"
 
@@ -107,7 +111,9 @@ def evaluated_before(record: Path) -> None:
 
 
 def measured_before(record: Path) -> None:
-    records.keep_rows(record / METRICS, load(record / POLICY).epoch - 1)
+    rows = records.read_rows(record / METRICS)
+    (record / METRICS).unlink()
+    records.append_rows(record / METRICS, rows[:-1])
 
 
 @pytest.mark.parametrize(
@@ -131,6 +137,46 @@ def test_what_cannot_ship_is_refused_in_one_line(harm, code, complaint, record, 
     assert complaint in error
     assert (error[:13], error.count("\n")) == ("experiments: ", 1)
     assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_killed_at_any_change_an_agent_is_the_one_before_or_the_new_one(before, folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    agents = {content: {"name": "a", "sha256": hashlib.sha256(content).hexdigest()} for content in (b"one", b"two")}
+
+    def prepare() -> None:
+        for path in folder.iterdir():
+            path.unlink()
+        if before:
+            publish.ship("a", b"one", agents[b"one"])
+
+    seen = set()
+    for _ in each_kill(prepare, lambda: publish.ship("a", b"two", agents[b"two"])):
+        if pretrained.names():
+            content = pretrained.find("a").read_bytes()
+            assert pretrained.card("a") == agents[content]
+            seen.add(content)
+        publish.ship("a", b"two", agents[b"two"])
+        assert pretrained.find("a") == folder / "a.safetensors"
+        assert {path.name for path in folder.iterdir()} == {"a.safetensors", "a.json"}
+    assert seen == ({b"one", b"two"} if before else {b"two"})
+
+
+HARMED = (POLICY, METRICS, EVALUATION)
+
+
+@pytest.mark.parametrize("count", [10, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", HARMED)
+def test_a_flipped_bit_in_a_record_makes_no_other_card(name, count, record, folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    good = publish.publish(record)
+    path = record / name
+    content = path.read_bytes()
+    for flipped in flips(content, count):
+        path.write_bytes(flipped)
+        with contextlib.suppress(RunError, UsageError):
+            assert publish.publish(record) == good
+    path.write_bytes(content)
 
 
 def test_sizes_are_limited(record, folder, monkeypatch, capsys):

@@ -25,6 +25,13 @@ def test_a_document_comes_back_and_has_a_checksum(tmp_path):
     assert read_json(tmp_path / "a.json")["met"] is False, "it is made anew"
 
 
+def test_a_number_that_is_not_finite_is_not_written(tmp_path):
+    write_json(tmp_path / "a.json", CARD)
+    with pytest.raises(RunError, match=r"cannot write .*a\.json: Out of range float values"):
+        write_json(tmp_path / "a.json", {"mean_return": float("nan")})
+    assert read_json(tmp_path / "a.json") == CARD
+
+
 def test_one_of_an_earlier_version_is_read_and_layout_does_not_count(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps(CARD))
     assert read_json(tmp_path / "a.json") == CARD

@@ -86,3 +86,8 @@ def last_state(run: Path, config, warn=pytest.fail) -> training.TrainState:
     """Returns the state in the newest checkpoint of a run."""
     like = jax.eval_shape(jax.vmap(partial(training.init, make_program(config))), seed_keys(config))
     return checkpoint.restore(checkpoint.newest(run / "checkpoints", warn), like)
+
+
+def times(directory: Path) -> dict[Path, int]:
+    """Returns when each file was changed last, but for the lock, which every reader changes."""
+    return {path: path.lstat().st_mtime_ns for path in directory.rglob("*") if path.name != "lock"}

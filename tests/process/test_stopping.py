@@ -1,4 +1,4 @@
-"""One process per directory, and the two signals that ask it to stop."""
+"""One process per directory, and the signals that ask it to stop."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
+from pathlib import Path
 
 import pytest
 
 from ear_jax.errors import RunError
 from ear_jax.process.stopping import StopRequest
 from ear_jax.runs.lock import lock_directory
+
+HERE = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
 
 BUSY = """
 import hashlib, sys
@@ -31,7 +36,10 @@ with lock_directory(Path(sys.argv[1]), print):
 """
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
+
+
+@pytest.mark.parametrize(("number", "code"), CODES.items())
 def test_the_first_is_answered_and_the_second_obeyed_at_once_in_the_middle_of_compiled_code(number, code):
     with subprocess.Popen([sys.executable, "-c", BUSY], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "ready\n"
@@ -43,7 +51,7 @@ def test_the_first_is_answered_and_the_second_obeyed_at_once_in_the_middle_of_co
 
 
 def test_handlers_are_put_back():
-    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    before = [signal.getsignal(number) for number in CODES]
     said = []
     with StopRequest(said.append) as request:
         assert request.signal is None
@@ -51,7 +59,103 @@ def test_handlers_are_put_back():
         while request.signal is None:
             pass
     assert (request.signal, len(said)) == (signal.SIGTERM, 1)
-    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert [signal.getsignal(number) for number in CODES] == before
+
+
+def test_nohup_is_respected():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopRequest(pytest.fail) as request:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+        assert request.signal is None
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_in_a_thread_signals_are_left_alone():
+    def enter() -> None:
+        with StopRequest(pytest.fail) as request:
+            seen.append((request.signal, signal.getsignal(signal.SIGINT)))
+
+    seen: list[tuple] = []
+    thread = threading.Thread(target=enter)
+    thread.start()
+    thread.join()
+    assert seen == [(None, signal.getsignal(signal.SIGINT))]
+
+
+SWALLOWS = """
+import os, signal
+from ear_jax.cli import main
+def swallow(*_):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        for _ in range(1000): pass  # where the handler runs
+    except BaseException:
+        pass
+    print("it went on")
+main.importlib.import_module = swallow
+main.main(["doctor"])
+"""
+
+
+def test_ctrl_c_ends_a_command_even_where_an_import_swallows_its_exception():
+    done = subprocess.run([sys.executable, "-c", SWALLOWS], env=HERE, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "ear: interrupted\n")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tenths", range(4, 30, 2))
+def test_ctrl_c_while_jax_is_imported_ends_a_command(tenths, tmp_path):
+    words = [sys.executable, "-m", "ear_jax.cli.main", "train", "halfcheetah-vel", "--dry-run", "--out", str(tmp_path)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(words, env=HERE, stdout=pipe, stderr=pipe, text=True) as process:
+        time.sleep(tenths / 10)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate(timeout=30)
+    assert (process.returncode, said[0], said[1].splitlines()[-1]) == (130, "", "ear: interrupted")
+
+
+SPEAKER = """
+import sys
+from ear_jax.process.terminal import TrainingBar, phase, say
+print("ready", flush=True)
+sys.stdin.readline()
+with phase("compiling"), TrainingBar(0, 4) as bar:
+    for epoch in range(4):
+        say("warning: the disk is full")
+        bar.update(epoch, 1.0, 2.0, 3.0)
+print("saved", flush=True)
+"""
+
+
+@pytest.mark.parametrize("stderr", ["a pipe without a reader", "a full disk", "closed"])
+def test_that_nobody_reads_what_a_run_says_does_not_end_it(stderr):
+    reader, writer = os.pipe()
+    full = os.open("/dev/full", os.O_WRONLY)
+    closing = (lambda: os.close(2)) if stderr == "closed" else None
+    target = {"a pipe without a reader": writer, "a full disk": full, "closed": None}[stderr]
+    code = "from ear_jax.process.streams import open_streams as go; go()" + SPEAKER
+    command, pipe = [sys.executable, "-c", code], subprocess.PIPE
+    with subprocess.Popen(
+        command, env=HERE, stdin=pipe, stdout=pipe, stderr=target, text=True, preexec_fn=closing
+    ) as process:
+        assert process.stdout.readline() == "ready\n"
+        for file in (reader, writer, full):
+            os.close(file)
+        output, _ = process.communicate("go\n", timeout=60)
+    assert (process.returncode, output) == (0, "saved\n")
+
+
+def test_a_closed_stream_leaves_its_number_to_no_file(tmp_path):
+    code = (
+        "from ear_jax.process.streams import open_streams as go; go(); import os, sys;"
+        "file = open(sys.argv[1], 'w'); assert file.fileno() > 2; os.write(2, b'noise')"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "file")]
+    subprocess.run(command, env=HERE, check=True, preexec_fn=lambda: os.closerange(0, 3))
+    assert (tmp_path / "file").read_bytes() == b""
 
 
 def test_a_second_process_is_refused_with_the_firsts_name(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import random
 import shutil
@@ -20,6 +19,7 @@ from ear_jax.errors import RunError
 from ear_jax.runs import checkpoint, manifest, records
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.trained import load
+from tests.helpers.faults import each_kill, killed_before
 from tests.helpers.runs import finished_config, last_state, leaves, stray_writes
 
 FIXTURES = Path(__file__).parents[1] / "fixtures"
@@ -169,6 +169,27 @@ def test_links_and_strangers_in_a_step_are_refused_unread(steps, tmp_path):
 
 
 @stray_writes
+def test_killed_at_any_change_a_step_is_whole_or_absent(state, tmp_path):
+    small = {"key": state["key"]}
+    checkpoint.save(tmp_path, 2, small, {})
+
+    def prepare() -> None:
+        for path in tmp_path.iterdir():
+            if path.name != "2":
+                shutil.rmtree(path)
+
+    for _ in each_kill(prepare, lambda: checkpoint.save(tmp_path, 4, small, {}, "{}\n")):
+        assert newest(tmp_path)[1] == []
+    for change in (3, 9, 15):
+        prepare()
+        with killed_before(change):
+            checkpoint.save(tmp_path, 4, small, {})
+        checkpoint.save(tmp_path, 4, small, {})
+        assert newest(tmp_path) == (4, [])
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["2", "4"]
+
+
+@stray_writes
 def test_a_save_that_fails_leaves_the_steps_before(state, steps, small_files):
     large = jax.random.normal(jax.random.key(0), 100_000)
     with small_files(4_000), pytest.raises(RunError, match=r"epoch 6 could not be written: .*File too large"):
@@ -183,6 +204,7 @@ def test_saved_on_two_devices_it_loads_on_one_and_back(finished, tmp_path):
 import sys; sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 import jax
+from tests.helpers.faults import each_kill, killed_before
 from tests.helpers.runs import finished_config
 from tests.helpers.runs import last_state
 from ear_jax.runs import checkpoint
@@ -215,7 +237,7 @@ def test_a_checkpoint_of_the_first_format_loads_and_its_run_goes_on(tmp_path, co
 
 def test_a_format_from_the_future_is_refused(steps):
     path = steps / "4" / "about.json"
-    path.write_text(json.dumps({**json.loads(path.read_text()), "format": 99}))
+    records.write_json(path, {**records.read_json(path), "format": 99})
     manifest.write(steps / "4")
     with pytest.raises(RunError, match="has format 99, but this version of ear_jax reads 1"):
         newest(steps)
