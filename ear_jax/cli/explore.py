@@ -3,41 +3,117 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import webbrowser
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
 
+import tyro
+
+from ear_jax import pretrained
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnPolicy
-from ear_jax.process.terminal import phase
+from ear_jax.errors import RunError, UsageError
+from ear_jax.process.terminal import phase, say
+
+GALLERY = Path("runs") / "explore.html"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExploreCommand(OnPolicy):
-    """Make a web page on which you point at the sphere of task embeddings (LTEs) and watch what the robot does.
+    """Make a web page on which you drag on the sphere of task embeddings (LTEs) and the robot does it at once.
 
-    The page is one file and needs no network.
+    The page is one file and needs no network. Physics and policy run in it, on MuJoCo's WebAssembly, which npm fetches
+    the first time. Without it, or if the page cannot compute the family, the page replays roll-outs instead.
 
-    Example: ear explore pretrained:halfcheetah-vel
+    Example: ear explore pretrained:halfcheetah-vel --open
     """
 
+    run: tyro.conf.Positional[Annotated[Path | None, tyro.conf.arg(metavar="RUN")]] = None  # type: ignore[assignment]
+    """The run directory, an exported file, or pretrained:NAME."""
+    all: bool = False
+    """Make one page of all agents that ship, in place of RUN."""
     places: int = 800
-    """LTEs on the page, spread evenly over the sphere."""
+    """LTEs that the sphere is coloured by, spread evenly over it."""
+    replay: bool = False
+    """Replay roll-outs, one for each LTE, in place of live physics."""
     steps: int = 200
-    """Environment steps per LTE, of which the page shows the second half."""
+    """Environment steps of a roll-out that is replayed, of which the page shows the second half."""
+    open: bool = False
+    """Open the page in the browser."""
 
 
 def main(words: list[str]) -> None:
     command = parse(ExploreCommand, words, "explore")
     check_least(command, places=10, steps=8)
+    if command.all == (command.run is not None):
+        raise UsageError("name a run, as in `ear explore pretrained:halfcheetah-vel`, or give --all")
+    path, document = gallery(command) if command.all else explore(command)
+    if command.open:
+        webbrowser.open(path.resolve().as_uri())
+    if command.json:
+        print(json.dumps({**document, "page": str(path)}))
+    else:
+        print(f"{path}: {'opened in the browser' if command.open else path.resolve().as_uri()}")
+
+
+def explore(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
+    """Makes the page of a run, and returns its path and its document."""
     trained = command.load()
+    from ear_jax.embeddings.map import check_sphere
     from ear_jax.figures.explore import write_page
     from ear_jax.rendering.explore import play_sphere
+    from ear_jax.rendering.live import page, wasm
 
+    check_sphere(trained, 3)
     seed = trained.program.config.seed + command.policy
+    path = trained.directory / f"{name(command, seed)}.html"
+    described = None if command.replay else live(command, trained)
+    if described is not None:
+        page.write_live_page(path, [described], wasm.find())
+        return path, {"seed": seed, "live": True, "trained": described[0]["tasks"]}
     with phase(f"rolling out {command.places} LTEs"):
         document, loops = play_sphere(trained, command.policy, command.places, command.steps, command.seed)
     title = f"{trained.program.family.name}: one policy, every task embedding"
-    path = write_page(trained.directory / f"explore_seed{seed}.html", {"title": title, **document}, loops)
-    if command.json:
-        print(json.dumps({"seed": seed, **document, "page": str(path)}))
-    else:
-        print(f"{path}: open it in a browser")
+    return write_page(path, {"title": title, **document}, loops), {"seed": seed, "live": False, **document}
+
+
+def live(command: ExploreCommand, trained: Any) -> tuple[dict[str, Any], str] | None:
+    """Describes a run's robot for the live page; says why if that cannot be made."""
+    from ear_jax.rendering.live import robot, wasm
+
+    try:
+        wasm.find()
+        with phase(f"rolling out {command.places} LTEs"):
+            return robot.describe(trained, command.policy, command.places, command.seed)
+    except (RunError, UsageError) as error:
+        say(f"The page replays roll-outs, as {error}")
+        return None
+
+
+def gallery(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
+    """Makes one live page of the agents that ship, and returns its path and its document."""
+    from ear_jax.rendering.live import page, wasm
+
+    found = wasm.find()
+    described = []
+    for agent in pretrained.names():
+        one = replace(command, run=Path(f"{pretrained.PREFIX}{agent}"))
+        try:
+            described.append(live(one, one.load()))
+        except RunError as error:  # an extra that is not installed
+            say(f"{agent} is left out: {error}")
+    robots = [one for one in described if one is not None]
+    page.write_live_page(GALLERY, robots, found)
+    return GALLERY, {"live": True, "robots": [description["name"] for description, _ in robots]}
+
+
+def name(command: ExploreCommand, seed: int) -> str:
+    """Returns the name of the page, which differs where its inputs do."""
+    words = [f"explore_seed{seed}", *(["replay"] if command.replay else [])]
+    words += [
+        f"{option}-{getattr(command, option)}"
+        for option in ("places", "steps", "seed", "engine")
+        if getattr(command, option) != getattr(ExploreCommand, option)
+    ]
+    return "_".join(words)

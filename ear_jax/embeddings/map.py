@@ -107,15 +107,16 @@ def code_for_target(lte_map: LteMap, family: Family, target: float) -> tuple[np.
     """
     miss = family.difference(lte_map.achieved, target)  # [places]
     candidates = spread_codes(FINE, lte_map.codes.shape[1])
-    bandwidth = _bandwidth(lte_map, family)
-    expected = np.concatenate(
-        [
-            _weights(part, lte_map.codes, bandwidth) @ np.stack([miss**2, miss], 1)
-            for part in np.array_split(candidates, 20)
-        ]
-    )
+    expected = estimate(lte_map, family, candidates, np.stack([miss**2, miss], 1))
     best = int(np.argmin(expected[:, 0]))
     return candidates[best], float(target + expected[best, 1])
+
+
+def estimate(lte_map: LteMap, family: Family, codes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Estimates for any codes [codes, code] the means [codes, k] of values [places, k] of the surveyed codes around."""
+    bandwidth = _bandwidth(lte_map, family)
+    parts = np.array_split(codes, max(1, len(codes) // 1000))
+    return np.concatenate([_weights(part, lte_map.codes, bandwidth) @ values for part in parts])
 
 
 def _bandwidth(lte_map: LteMap, family: Family) -> float:

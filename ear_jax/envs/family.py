@@ -15,7 +15,7 @@ from ear_jax.envs.environment import Env, State
 from ear_jax.envs.symmetry import Symmetry
 from ear_jax.errors import UsageError
 from ear_jax.physics import Motion, Physics, make_engine
-from ear_jax.physics.models import load_model
+from ear_jax.physics.models import gymnasium_model_path, load_model
 from ear_jax.tasks import Task, TaskParams, TaskSet
 
 Outcome = dict[str, jax.Array]
@@ -65,6 +65,10 @@ class Family(Env):
     def load(self) -> mujoco.MjModel:
         """Returns the model; by default Gymnasium's `model_file`."""
         return load_model(self.model_file)
+
+    def source(self) -> str:
+        """Returns the model as MJCF, for MuJoCo outside Python; by default Gymnasium's `model_file`."""
+        return gymnasium_model_path(self.model_file).read_text(encoding="utf-8")
 
     @property
     def symmetry(self) -> Symmetry | None:
@@ -120,6 +124,14 @@ class Family(Env):
         if self.period is None:
             return one - other
         return (one - other + self.period / 2) % self.period - self.period / 2
+
+    def asks(self, task: Task) -> tuple[str, str]:
+        """Returns the outcome that a task asks for, and its unit; by default the commanded one."""
+        return self.commanded, self.unit
+
+    def goal(self, task: Task) -> tuple[float, float, float] | None:
+        """Returns the point that a task asks the robot to reach, metres; None by default."""
+        return None
 
     # Derived from those definitions.
 

@@ -52,6 +52,9 @@ class HalfCheetahRunJump(HalfCheetah):
             raise unknown("task", text, (*tasks, *nicknames))
         return tasks[name]
 
+    def asks(self, task: Task) -> tuple[str, str]:
+        return ("height", "m") if task.params["jump"] else super().asks(task)
+
     def outcome(self, motion: Motion) -> Outcome:
         height = motion.positions[0, 2] if self.bodies else motion.after.qpos[1]
         return {

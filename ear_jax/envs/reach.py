@@ -16,7 +16,7 @@ from ear_jax.envs.angle import AngleFamily
 from ear_jax.envs.family import Outcome
 from ear_jax.physics import Motion, Physics
 from ear_jax.physics.kinematics import body_points
-from ear_jax.physics.sawyer import HAND_START, draw_arm, load_arm
+from ear_jax.physics.sawyer import HAND_START, arm, draw_arm, load_arm
 from ear_jax.tasks import Task, TaskParams
 
 CENTRE, RADII = (0.0, 0.85, 0.175), (0.1, 0.125)  # metres: the largest upright ellipse within Meta-World's box of goals
@@ -59,6 +59,9 @@ class Reach(AngleFamily):
     def load(self) -> mujoco.MjModel:
         return load_arm()
 
+    def source(self) -> str:
+        return arm().to_xml()
+
     def portrait(self) -> mujoco.MjModel:
         return draw_arm()
 
@@ -68,6 +71,9 @@ class Reach(AngleFamily):
         goal = (CENTRE[0] + across, CENTRE[1], CENTRE[2] + up)
         params = {**dict(zip("xyz", goal, strict=True)), "margin": math.dist(goal, HAND_START)}
         return Task(f"goal-{angle:g}", target=float(angle), params=params)
+
+    def goal(self, task: Task) -> tuple[float, float, float]:
+        return task.params["x"], task.params["y"], task.params["z"]
 
     def initial(self, key: jax.Array) -> Physics:
         """Returns the settled arm, always the same, as in Meta-World."""

@@ -34,7 +34,12 @@ def gymnasium_model_path(filename: str) -> Path:
 
 
 def load_model(filename: str) -> mujoco.MjModel:
-    """Compiles one of Gymnasium's models, e.g. `half_cheetah.xml`.
+    """Compiles one of Gymnasium's models, e.g. `half_cheetah.xml`."""
+    return compile_model(mujoco.MjSpec.from_file(str(gymnasium_model_path(filename))))
+
+
+def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compiles a model made for MuJoCo before 3.17, as Gymnasium's are.
 
     MuJoCo warns about the deprecated `settotalmass` in a MUJOCO_LOG.TXT in the user's directory. The mass is therefore
     set on the compiled model, with identical constants.
@@ -43,7 +48,6 @@ def load_model(filename: str) -> mujoco.MjModel:
     geoms of these models have equal margins, so halving them restores the intended physics; otherwise the ant stands
     1 cm higher.
     """
-    spec = mujoco.MjSpec.from_file(str(gymnasium_model_path(filename)))
     total_mass = spec.compiler.settotalmass
     spec.compiler.settotalmass = -1
     model = spec.compile()

@@ -31,7 +31,12 @@ def reach_model_path() -> Path:
 
 
 def load_arm() -> mujoco.MjModel:
-    """Compiles the arm alone: 7 hinges, 2 sliding fingers and a mocap body that the hand is welded to.
+    """Compiles the arm alone; see `arm`."""
+    return arm().compile()
+
+
+def arm() -> mujoco.MjSpec:
+    """Returns the arm alone: 7 hinges, 2 sliding fingers and a mocap body that the hand is welded to.
 
     Table, puck, walls and all geoms except the claws are removed, and so is every contact; inertias are kept. The arm
     moves as in the full scene, up to rounding, as long as it would touch nothing there: neither a wall nor the puck,
@@ -43,7 +48,7 @@ def load_arm() -> mujoco.MjModel:
             spec.delete(geom)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
-        geom.material = ""
+        geom.material = geom.classname.geom.material = ""  # of the class too, so that it can be written as MJCF
     for unused in (spec.meshes, spec.materials, spec.textures, spec.cameras, spec.lights):
         for element in list(unused):
             spec.delete(element)
@@ -51,7 +56,7 @@ def load_arm() -> mujoco.MjModel:
         spec.delete(spec.body(name))
     spec.compiler.fusestatic = True
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    return spec.compile()
+    return spec
 
 
 def draw_arm() -> mujoco.MjModel:

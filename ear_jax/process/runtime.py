@@ -9,16 +9,17 @@ from typing import Any
 import jax
 
 
-def cache_dir() -> Path | None:
-    """Returns the directory of compiled programs; XLA trusts its contents, so only the user may write there.
+def cache_dir(name: str = "xla") -> Path | None:
+    """Returns a directory of the user's cache, by default that of compiled programs, or None.
 
-    None if no variable names one and the user has no home.
+    XLA trusts the contents of that one, so only the user may write there. None if no variable names a cache and the
+    user has no home.
     """
     named = os.environ.get("EAR_JAX_CACHE")
     base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     if not named and base.startswith("~"):
         return None
-    return Path(named or Path(base) / "ear_jax") / "xla"
+    return Path(named or Path(base) / "ear_jax") / name
 
 
 def enable_cache() -> None:

@@ -1,4 +1,4 @@
-"""The page that steers a robot by the sphere of LTEs: the piece of a roll-out that repeats, and the page's data."""
+"""The page that replays roll-outs of the sphere of LTEs: the piece of a roll-out that repeats, and the page's data."""
 
 from __future__ import annotations
 
@@ -89,10 +89,11 @@ def test_a_page_holds_all_to_the_millimetre(tmp_path):
 
 
 def test_the_command_makes_a_page_of_a_run(run, capsys):
-    assert main(["explore", str(run), "--places", "12", "--steps", "40", "--json"]) == 0
+    assert main(["explore", str(run), "--replay", "--places", "12", "--steps", "40", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     data = held(Path(document["page"]))
-    assert Path(document["page"]) == run / "explore_seed0.html"
+    assert Path(document["page"]) == run / "explore_seed0_replay_places-12_steps-40.html"
+    assert document["live"] is False
     assert len(document["achieved"]) == len(data["pictures"]) == 12
     assert [task["name"] for task in data["trained"]] == ["vel-1", "vel-3"]
     limbs_of_a_cheetah = len(data["radii"])
