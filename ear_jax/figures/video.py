@@ -27,9 +27,9 @@ def caption(picture: np.ndarray, text: str) -> np.ndarray:
     return np.asarray(image)
 
 
-def write_gif(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Path:
+def write_gif(path: Path, pictures: Sequence[np.ndarray], seconds: float, colours: int = GIF_COLOURS) -> Path:
     """Writes pictures [height, width, 3], each shown for `seconds`, which GIF rounds to hundredths."""
-    palette = Image.fromarray(pictures[len(pictures) // 2]).quantize(GIF_COLOURS)
+    palette = Image.fromarray(np.concatenate(pictures[:: -(-len(pictures) // 4)])).quantize(colours)
     # One palette and no dithering: pixels that do not change are then not stored again.
     first, *others = (
         Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
@@ -38,7 +38,7 @@ def write_gif(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Pat
     with replace_file(path) as scratch:
         first.save(scratch, "GIF", save_all=True, **options)
         small = scratch.stat().st_size <= GIF_BYTES
-    return path if small or len(pictures) <= 2 else write_gif(path, pictures[::2], 2 * seconds)
+    return path if small or len(pictures) <= 2 else write_gif(path, pictures[::2], 2 * seconds, colours)
 
 
 def write_mp4(path: Path, pictures: Sequence[np.ndarray], seconds: float) -> Path | None:

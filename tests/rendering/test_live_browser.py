@@ -17,7 +17,7 @@ from ear_jax import pretrained
 from ear_jax.cli.main import main
 from ear_jax.rendering.live import wasm
 from ear_jax.runs.trained import load, policy_of
-from tests.helpers.browser import Browser, chromium
+from experiments.browser import Browser, chromium
 
 FOUND = wasm.cached()  # of the machine, before tests get a cache of their own
 pytestmark = [

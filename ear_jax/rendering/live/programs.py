@@ -275,7 +275,8 @@ def _called(equation: JaxprEqn) -> ClosedJaxpr | None:
 
 def _needed(jaxpr: Jaxpr) -> list[JaxprEqn]:
     """Returns the equations on which the results depend; Flax makes random keys that no policy uses."""
-    wanted, found = set(jaxpr.outvars) - {atom for atom in jaxpr.outvars if isinstance(atom, Literal)}, []
+    found: list[JaxprEqn] = []
+    wanted = {atom for atom in jaxpr.outvars if not isinstance(atom, Literal)}  # a literal has no hash
     for equation in reversed(jaxpr.eqns):
         if wanted & set(equation.outvars):
             found.append(equation)

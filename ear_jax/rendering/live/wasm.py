@@ -7,6 +7,7 @@ import hashlib
 import io
 import shutil
 import subprocess
+import sys
 import tarfile
 import tempfile
 from dataclasses import dataclass
@@ -91,3 +92,10 @@ def _integrity(content: bytes) -> str:
 def _opened(content: bytes) -> Wasm:
     with tarfile.open(fileobj=io.BytesIO(content)) as archive:
         return Wasm(*(archive.extractfile(f"package/mujoco.{ending}").read() for ending in ("js", "wasm")))  # type: ignore[union-attr]
+
+
+if __name__ == "__main__":  # fetches it ahead of the first page, as for tests
+    try:
+        find()
+    except RunError as error:
+        sys.exit(str(error))

@@ -16,7 +16,7 @@ const SHOVE = 1;  // m/s by which a push changes the speed of a free body
 
 const globe = makeGlobe(element("globe")), map = makeMap(element("map")), trace = makeTrace(element("trace"));
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;  // it starts in a pause, and the globe does not glide
-const reader = { playing: !still, slow: false };
+const reader = { playing: !still, slow: false, byHand: false };  // by hand, time passes only by calls of `advance`
 let physics = null;  // MuJoCo, once it is loaded
 let show = null;  // the robot on the page
 
@@ -185,7 +185,7 @@ function tick(now) {
   const seconds = before === null ? 0 : Math.min(.1, (now - before) / 1000);
   before = now;
   show.steering.glide(still ? 9 : seconds);
-  if (show.robot && reader.playing) advance(seconds * (reader.slow ? SLOW : 1));
+  if (show.robot && reader.playing && !reader.byHand) advance(seconds * (reader.slow ? SLOW : 1));
   if (show.changed) { show.changed = false; drawPlaces(); told = 0; }
   drawRobot();
   if (now - told > 120) { told = now; tell(); }
@@ -251,7 +251,8 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { co
 
 /* Begin. `window.ear` is for tests and for the curious. */
 window.ear = {
-  get show() { return show; }, reader, go, open, drawn: 0, ready: 0, box: (id) => element(id).getBoundingClientRect(),
+  get show() { return show; }, reader, go, open, advance, drawn: 0, ready: 0, robots: data.robots.map((robot) => robot.name),
+  box: (id) => element(id).getBoundingClientRect(),
 };
 if (data.robots.length > 1)
   element("robots").replaceChildren(...data.robots.map((robot, index) => button(robot.name, () => open(index))));

@@ -113,14 +113,17 @@ export function makeMap(canvas) {
       if (wanted !== key) {
         key = wanted;
         drawn = picture(across, down, (column, row, data, at) => {
-          const here = unflat(4 * (column + .5) / across - 2, 1 - 2 * (row + .5) / down);
-          if (!here) return;
+          const x = 4 * (column + .5) / across - 2, y = 1 - 2 * (row + .5) / down, far = Math.hypot(x / 2, y) / .999;
+          const here = unflat(x / Math.max(1, far), y / Math.max(1, far));  // the edge goes on outside, and is cut off
           paint(ground, ...here, 1, data, at);
           data[at + 3] = 255;
         });
       }
       pen.clearRect(0, 0, width, height);
+      pen.save();
+      pen.beginPath(); pen.ellipse(width / 2, height / 2, width / 2, height / 2, 0, 0, 7); pen.clip();
       pen.drawImage(drawn, 0, 0, width, height);
+      pen.restore();
       const on = (code) => { const [x, y] = flat(code); return { x: (x + 2) / 4 * width, y: (1 - y) / 2 * height, hidden: false }; };
       annotate(pen, scene, on, width);
     },

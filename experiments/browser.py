@@ -108,6 +108,10 @@ class Browser:
     def open(self, page: Path, ready: str, seconds: float = 60) -> None:
         """Opens a file and waits until an expression is true."""
         self.call("Page.navigate", url=page.resolve().as_uri())
+        self.wait(ready, seconds)
+
+    def wait(self, ready: str, seconds: float = 60) -> None:
+        """Waits until an expression is true."""
         end = time.monotonic() + seconds
         while not self.run(f"Boolean({ready})"):
             assert time.monotonic() < end, f"{ready} did not become true; {self.complaints()}"
