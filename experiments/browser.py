@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -17,6 +18,11 @@ OPTIONS = (  # split where they are used
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
     "--disable-component-update --disable-sync --remote-debugging-pipe"
 )
+# Chromium reads from descriptor 3 and writes to 4.
+START = """import fcntl, os, sys
+pipes = [fcntl.fcntl(int(pipe), fcntl.F_DUPFD, 10) for pipe in sys.argv[1:3]]
+for pipe, place in zip(pipes, (3, 4)): os.dup2(pipe, place)
+os.execv(sys.argv[3], sys.argv[3:])"""
 COMPLAINTS = ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded")
 
 
@@ -33,16 +39,7 @@ class Browser:
         ours_in, self._write = os.pipe()
         self._read, theirs_out = os.pipe()
         path, profile = chromium(), f"--user-data-dir={self._profile.name}"
-        # Chromium reads from descriptor 3 and writes to 4.
-        words = [
-            "sh",
-            "-c",
-            f'exec "$0" "$@" 3<&{ours_in} 4>&{theirs_out}',
-            str(path),
-            *OPTIONS.split(),
-            profile,
-            "about:blank",
-        ]
+        words = [sys.executable, "-c", START, str(ours_in), str(theirs_out), str(path), *OPTIONS.split(), profile]
         quiet = subprocess.DEVNULL
         self._process = subprocess.Popen(words, pass_fds=(ours_in, theirs_out), stdout=quiet, stderr=quiet)
         os.close(ours_in)

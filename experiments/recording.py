@@ -25,8 +25,8 @@ from experiments.browser import Browser, chromium
 PAGE = Path("runs") / "explore.html"
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 WIDTH, HEIGHT = 1280, 800  # of the page
-FILM_WIDTH = 640  # pixels
-COLOURS = 128
+FILM_WIDTH = 720  # pixels
+COLOURS = 160
 SECONDS = 0.1  # from one picture to the next
 # For each robot: seconds to settle, then the tasks passed on the way, and the seconds of that way.
 SCENES = (("halfcheetah-vel", 3.0, (1, 3, 5, 8), 3.6), ("ant-dir", 2.0, (6, 9, 12, 15), 2.6))

@@ -29,7 +29,9 @@ def caption(picture: np.ndarray, text: str) -> np.ndarray:
 
 def write_gif(path: Path, pictures: Sequence[np.ndarray], seconds: float, colours: int = GIF_COLOURS) -> Path:
     """Writes pictures [height, width, 3], each shown for `seconds`, which GIF rounds to hundredths."""
-    palette = Image.fromarray(np.concatenate(pictures[:: -(-len(pictures) // 4)])).quantize(colours)
+    several = Image.fromarray(np.concatenate(pictures[:: -(-len(pictures) // 4)]))
+    # Rare colours are kept, such as that of a small mark.
+    palette = several.quantize(colours, method=Image.Quantize.MAXCOVERAGE, kmeans=2)
     # One palette and no dithering: pixels that do not change are then not stored again.
     first, *others = (
         Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures
