@@ -2,9 +2,9 @@
 PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
   $$p -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' 2>/dev/null && { echo $$p; break; }; done)
 BIN := .venv/bin
-SOURCES := ear_jax benchmarks experiments tests
+SOURCES := ear_jax benchmarks experiments tests docs/site
 
-.PHONY: setup demo test test-slow lint format bench docs lock
+.PHONY: setup demo test test-slow extras test-extras lint format bench docs lock
 
 setup: .venv/.made
 
@@ -24,6 +24,13 @@ test: setup
 
 test-slow: setup
 	$(BIN)/pytest -m slow
+
+# Packages that the base installation does without, and the tests that are skipped where they are missing.
+extras: setup
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[onnx,wandb]'
+
+test-extras: extras
+	$(BIN)/pytest tests/runs/test_onnx.py tests/runs/test_tracking.py
 
 lint: setup
 	$(BIN)/ruff check $(SOURCES)
@@ -52,7 +59,7 @@ docs: .venv-docs/.made
 	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --quiet --strict
 
 .venv-docs/.made: setup requirements-docs.lock
-	$(PYTHON) -m venv .venv-docs
+	$(BIN)/python -m venv .venv-docs
 	.venv-docs/bin/python -c "import site, pathlib, sys; pathlib.Path(site.getsitepackages()[0], 'ear_jax_venv.pth') \
 	  .write_text(str(next(pathlib.Path('.venv/lib').glob('python3*/site-packages')).resolve()))"
 	.venv-docs/bin/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
