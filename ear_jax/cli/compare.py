@@ -7,17 +7,18 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.plot import PLOTS
-from ear_jax.cli.results import print_result
+from ear_jax.cli.results import print_result, print_table
 from ear_jax.errors import UsageError
 from ear_jax.figures.compare import draw_compare
 from ear_jax.figures.formats import check_format
 from ear_jax.runs.comparison import compare
 from ear_jax.runs.groups import two_groups
+
+RETURNS = ("mean", "interquartile_mean")
+COUNTS = ("seeds", "updates", "env_steps", "minutes")
 
 
 @dataclass(frozen=True)
@@ -51,29 +52,21 @@ def main(words: list[str]) -> None:
 
 
 def _print(document: dict[str, Any]) -> None:
-    console = Console(highlight=False)
     first, second = document["groups"]
     if document["settings"]:
-        table = Table(title="settings that differ", title_justify="left")
-        for heading in ("setting", first["name"], second["name"]):
-            table.add_column(heading, overflow="fold")
-        for setting in document["settings"]:
-            table.add_row(setting["name"], *map(str, setting["values"]))
-        console.print(table)
+        rows = [(setting["name"], *map(str, setting["values"])) for setting in document["settings"]]
+        print_table(("setting", first["name"], second["name"]), rows, "settings that differ")
+        print()
     else:
-        console.print("settings: equal, apart from seeds")
-    table = Table(title=f"returns, from {document['returns_from']}", title_justify="left")
-    for heading in ("", first["name"], second["name"]):
-        table.add_column(heading, justify="right" if heading else "left", overflow="fold")
-    for name in ("mean", "interquartile_mean"):
-        table.add_row(name.replace("_", " "), *(_with_interval(group[name], ".1f") for group in (first, second)))
-    for name in ("seeds", "updates", "env_steps", "minutes"):
-        table.add_row(name.replace("_", " "), *(_numbers(group[name]) for group in (first, second)))
-    console.print(table)
+        print("settings: equal, apart from seeds")
+    returns = {name: [_with_interval(group[name], ".1f") for group in (first, second)] for name in RETURNS}
+    counts = {name: [_numbers(group[name]) for group in (first, second)] for name in COUNTS}
+    rows = [(name.replace("_", " "), *values) for name, values in (returns | counts).items()]
+    print_table(("", f"{first['name']}>", f"{second['name']}>"), rows, f"returns, from {document['returns_from']}")
     chance = _with_interval(document["probability_of_improvement"], ".2f")
-    console.print(f"On the same task, a seed of {first['name']} beats a seed of {second['name']}: probability {chance}")
+    print(f"On the same task, a seed of {first['name']} beats a seed of {second['name']}: probability {chance}")
     if not document["probability_of_improvement"]["interval"]:
-        console.print("Intervals need at least two seeds of each.")
+        print("Intervals need at least two seeds of each.")
 
 
 def _with_interval(entry: dict[str, Any], form: str) -> str:

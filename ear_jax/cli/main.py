@@ -8,7 +8,7 @@ import sys
 
 import ear_jax
 from ear_jax.cli.exits import exit_code
-from ear_jax.errors import UsageError, hint, known_name, nearest
+from ear_jax.errors import UsageError, hint, known_name
 from ear_jax.process.stopping import leave_on_interrupt
 from ear_jax.process.streams import starting
 
@@ -74,13 +74,10 @@ def main(arguments: list[str] | None = None) -> int:
 
 def find_command(word: str) -> str:
     """Returns the command that a word names; raises UsageError, with those that it may mean, if there is none."""
-    meant = SYNONYMS.get(word.lower()) or nearest(word, COMMANDS)
-    try:
-        return known_name("command", word, COMMANDS)
-    except UsageError:
+    if meant := SYNONYMS.get(word.lower()):
         again = " (the same `ear train` command continues a run)" if word.lower() in ("resume", "continue") else ""
-        there = ", ".join(COMMANDS)
-        raise UsageError(f"unknown command {word!r}{hint(meant)}{again} (there are: {there})") from None
+        raise UsageError(f"unknown command {word!r}{hint(meant)}{again} (there are: {', '.join(COMMANDS)})")
+    return known_name("command", word, COMMANDS)
 
 
 def _run(name: str, *words: str) -> None:

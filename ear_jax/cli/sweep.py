@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from ear_jax.cli import train
 from ear_jax.cli.arguments import option
-from ear_jax.cli.results import keep, print_result
+from ear_jax.cli.results import keep, print_result, print_table
 from ear_jax.config import Config, flag, flat, run_name
 from ear_jax.errors import UsageError, unknown
 from ear_jax.limits import check
@@ -155,12 +153,9 @@ def print_plan(groups: Sequence[Sequence[Trial]], directory: Path) -> None:
 
 
 def _print(document: dict[str, Any]) -> None:
-    results = ("return", "± between seeds", "mean over the run", "updates", "minutes")
-    table = Table(*document["trials"][0]["settings"], *results)
-    for trial in document["trials"]:
-        settings = [str(value) for value in trial["settings"].values()]
-        table.add_row(*settings, *_numbers(trial))
-    Console().print(table)
+    results = ("return>", "± between seeds>", "mean over the run>", "updates>", "minutes>")
+    rows = [(*map(str, trial["settings"].values()), *_numbers(trial)) for trial in document["trials"]]
+    print_table((*document["trials"][0]["settings"], *results), rows)
 
 
 def _numbers(trial: dict[str, Any]) -> list[str]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ear_jax.cli import results
 from ear_jax.cli.adapt import _print as print_adapt
 from ear_jax.cli.evaluate import print_evaluation
 from ear_jax.cli.results import print_table
@@ -60,6 +62,11 @@ def test_a_name_ends_no_script_of_the_page(tmp_path):
     page = write_page(tmp_path / "page.html", document, [loop, loop]).read_text()
     assert NAMES[5] not in page
     assert json.loads(re.search(r"\{\"title\".*\}", page)[0])["title"] == NAMES[5]
+
+
+def test_commands_print_tables_by_one_helper():
+    files = {path.name for path in Path(results.__file__).parent.glob("*.py") if "rich.table" in path.read_text()}
+    assert not files
 
 
 def test_a_table_breaks_no_name_and_cuts_no_column(capsys):

@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -56,6 +57,7 @@ def test_mistakes_are_refused_before_jax_is_imported(tmp_path):
     """All in one process, in which JAX cannot be imported."""
     code = f"""
 import sys
+from pathlib import Path
 sys.modules["jax"] = None
 from ear_jax.cli.main import main
 for line in {list(MISTAKES)!r}:
@@ -117,3 +119,10 @@ def test_names_are_those_of_files():
 
 def test_help_without_jax_shows_the_defaults_with_it():
     assert draft_config("halfcheetah-vel", "fast") == preset_config("halfcheetah-vel", "fast")
+
+
+def test_a_path_may_begin_at_the_users_home(monkeypatch):
+    monkeypatch.setenv("HOME", "/home/me")
+    assert parse(commands()["demo"], ["--out=~/run"], "demo").out == Path("/home/me/run")
+    assert parse(commands()["export"], ["~/run", "~/x.safetensors"], "export").file == Path("/home/me/x.safetensors")
+    assert parse(commands()["demo"], ["--out", "~nobody-here/run"], "demo").out == Path("~nobody-here/run")
