@@ -18,7 +18,7 @@ PAGES = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md", "changel
 COPIES = ("benchmarks/results/benchmarks.png",)  # pictures that pages show from elsewhere in the repository
 LINK = re.compile(r"(\]\(|src=\")([^)\"#:]+)(#[^)\"]*)?([)\"])")
 
-ELSEWHERE = re.compile(r"\[([^\]]+)\]\((?:\.\./)?((?:experiments|ear_jax|tests)[^)]*)\)")
+ELSEWHERE = re.compile(r"\[([^\]]+)\]\((?:\.\./)?((?:experiments|ear_jax|tests)/[^)]*)\)")
 
 
 def on_files(files: Files, config: Any) -> Files:

@@ -98,7 +98,7 @@ def _write_onnx(file: Path, trained: Trained) -> float:
     """Writes the policy of a single seed as ONNX if it agrees with JAX; returns the largest difference of actions.
 
     Raises:
-      RunError: onnxruntime and JAX differ by more than `TOLERANCE`.
+      RunError: the policy cannot be written, or onnxruntime and JAX differ by more than `TOLERANCE`.
     """
     import jax
     import jax.numpy as jnp
@@ -116,7 +116,10 @@ def _write_onnx(file: Path, trained: Trained) -> float:
         return jnp.tanh(distribution.mean), distribution.mean, distribution.log_std
 
     constants = Constants()
-    translated = translate(act, constants, jnp.zeros(agent.code_size), jnp.zeros(family.observation_size))
+    try:
+        translated = translate(act, constants, jnp.zeros(agent.code_size), jnp.zeros(family.observation_size))
+    except UsageError as error:
+        raise RunError(f"this policy cannot be written as ONNX: {error}") from None
     ltes = np.asarray(agent.codes(policy))
     metadata = {
         "family": family.name,
