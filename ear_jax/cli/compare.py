@@ -12,8 +12,6 @@ from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.plot import PLOTS
 from ear_jax.cli.results import print_result, print_table
 from ear_jax.errors import UsageError
-from ear_jax.figures.compare import draw_compare
-from ear_jax.figures.formats import check_format
 from ear_jax.runs.comparison import compare
 from ear_jax.runs.groups import two_groups
 
@@ -40,12 +38,15 @@ class CompareCommand:
 
 def main(words: list[str]) -> None:
     command = parse(CompareCommand, words, "compare")
-    if command.out is not None:
-        check_format(command.out)
     if not command.runs or (not command.against and len(command.runs) != 2):
         raise UsageError("give two runs, or the runs of the second group after --against")
     ours, theirs = (command.runs, command.against) if command.against else (command.runs[:1], command.runs[1:])
     document = compare(*two_groups(ours, theirs))
+    from ear_jax.figures.compare import draw_compare
+    from ear_jax.figures.formats import check_format
+
+    if command.out is not None:
+        check_format(command.out)
     file = command.out or PLOTS / f"{ours[0].name}_against_{theirs[0].name}.png"
     pictures = draw_compare([file], document)
     print_result(document, pictures, command.json, _print)

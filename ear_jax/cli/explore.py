@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import tyro
 
 from ear_jax import pretrained
-from ear_jax.cli.arguments import check_least, parse
+from ear_jax.cli.arguments import check_least, option, parse
 from ear_jax.cli.on_run import OnPolicy
 from ear_jax.errors import RunError, UsageError
 from ear_jax.process.terminal import phase, say
@@ -29,7 +29,7 @@ class ExploreCommand(OnPolicy):
     Example: ear explore pretrained:halfcheetah-vel --open
     """
 
-    run: tyro.conf.Positional[Annotated[Path | None, tyro.conf.arg(metavar="RUN")]] = None  # type: ignore[assignment]
+    run: tyro.conf.Positional[Annotated[Path | None, option("RUN", "none, with --all")]] = None  # type: ignore[assignment]
     """The run directory, an exported file, or pretrained:NAME."""
     all: bool = False
     """Make one page of all agents that ship, in place of RUN."""

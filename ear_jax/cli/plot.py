@@ -13,8 +13,6 @@ import tyro
 from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.results import print_pictures
 from ear_jax.errors import UsageError
-from ear_jax.figures.formats import check_format
-from ear_jax.figures.plot import draw_plot
 from ear_jax.runs.groups import Group, group, read
 
 PLOTS = Path("plots")
@@ -41,11 +39,14 @@ class PlotCommand:
 
 def main(words: list[str]) -> None:
     command = parse(PlotCommand, words, "plot")
-    if command.out is not None:
-        check_format(command.out)
     if not command.runs:
         raise UsageError("name at least one run")
     groups = group([read(path) for path in dict.fromkeys(command.runs)])
+    from ear_jax.figures.formats import check_format
+    from ear_jax.figures.plot import draw_plot
+
+    if command.out is not None:
+        check_format(command.out)
     paths = draw_plot(_files(command, groups), groups, command.metric, command.by)
     if command.json:
         curves = [

@@ -22,7 +22,7 @@ from ear_jax.runs import records
 MISTAKES = {
     "play": "unknown command 'play'; did you mean 'render' or 'evaluate' or 'explore'?",
     "resume": "did you mean 'train'? (the same `ear train` command continues a run)",
-    "xyzzy": "unknown command 'xyzzy' (there are: train",
+    "xyzzy": "unknown command 'xyzzy' (there are: adapt",
     "evaluate nowhere": "nowhere is not a run directory",
     "evaluate pretrained:Hoper-Vel": "did you mean 'hopper-vel'?",
     "evaluate pretrained:hopper-vel --engine cuda": "unknown engine 'cuda' (there are: auto, mjx, native, warp)",
@@ -57,7 +57,6 @@ def test_mistakes_are_refused_before_jax_is_imported(tmp_path):
     """All in one process, in which JAX cannot be imported."""
     code = f"""
 import sys
-from pathlib import Path
 sys.modules["jax"] = None
 from ear_jax.cli.main import main
 for line in {list(MISTAKES)!r}:
@@ -71,6 +70,13 @@ for line in {list(MISTAKES)!r}:
     for line, complaint in zip(lines, MISTAKES.values(), strict=True):
         assert line.startswith("ear: ")
         assert complaint in line
+
+
+def test_commands_are_parsed_without_the_slow_imports():
+    code = f"import sys\nfor name in {[module for module, _ in COMMANDS.values()]!r}: __import__(name)\n"
+    code += "print([name for name in ('jax', 'mujoco', 'matplotlib', 'orbax') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
 
 
 @pytest.mark.parametrize("words", [["--version"], ["-V"], ["version"]])
