@@ -172,6 +172,17 @@ def test_killed_at_twelve_random_moments_it_ends_as_if_nothing_had_been(agent, s
 
 
 @pytest.mark.slow
+def test_a_reader_of_stderr_that_leaves_does_not_end_a_run(tmp_path):
+    command = [sys.executable, "-m", "tests.helpers.quick", *words(finished_config()), "--out", str(tmp_path / "run")]
+    environment = {**os.environ, "EAR_JAX_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        process.stderr.readline()
+        process.stderr.close()
+        assert process.wait(600) == 0
+    assert checkpoint.newest(tmp_path / "run" / "checkpoints", pytest.fail).epoch == 24
+
+
+@pytest.mark.slow
 def test_on_one_core_and_on_two_it_ends_the_same(tmp_path):
     if (os.cpu_count() or 1) < 2:
         pytest.skip("this machine has one core")
