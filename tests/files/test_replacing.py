@@ -16,6 +16,7 @@ from ear_jax.errors import RunError
 from ear_jax.figures.style import save_figure
 from ear_jax.figures.video import write_gif, write_mp4
 from ear_jax.files.replacing import copy_file, folder, replace_file, write_text
+from ear_jax.runs import safetensors
 from tests.helpers.faults import each_kill
 
 ROOT = Path(__file__).parents[2]
@@ -29,7 +30,11 @@ def film(path: Path) -> None:
     write_gif(path, [np.full((8, 8, 3), shade, np.uint8) for shade in (0, 90, 250)], 0.1)
 
 
-WRITERS = {"x.txt": lambda path: write_text(path, "new"), "x.png": figure, "x.gif": film}
+def policy(path: Path) -> None:
+    safetensors.write(path, {"codes": np.ones((2, 3), np.float32)}, {"card": "new"})
+
+
+WRITERS = {"x.txt": lambda path: write_text(path, "new"), "x.png": figure, "x.gif": film, "x.safetensors": policy}
 
 
 @pytest.fixture(params=WRITERS)
