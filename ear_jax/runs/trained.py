@@ -128,7 +128,8 @@ def load(path: Path, family: str | None = None, engine: str | None = None) -> Tr
 def save(file: Path, trained: Trained, rows: list[dict[str, Any]]) -> str:
     """Writes policies to a file for `load` and returns its card; see `describe` and `write_policy`."""
     about = {name: value for name, value in trained.about.items() if name != "leaves"}
-    card = describe(trained, rows)
+    arrays = "policy.* are the networks' parameters [seeds, …], codes the table [seeds, tasks, code]"
+    card = f"{describe(trained, rows)}\n{arrays}"
     codes = jax.vmap(trained.program.agent.codes)(trained.policies)
     write_policy(file, trained.policies, codes, about, card)
     return card
@@ -156,7 +157,6 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
             f"ear_jax {versions.get('ear_jax', 'of an unknown version')}, "
             f"engine {about['engine']}, mujoco {versions.get('mujoco')}, jax {versions.get('jax')}, "
             f"commit {about.get('commit')}",
-            "policy.* are the networks' parameters [seeds, …], codes the table [seeds, tasks, code]",
         ]
     )
 

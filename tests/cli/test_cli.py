@@ -225,6 +225,8 @@ def test_train_then_evaluate_prints_one_json_document(tmp_path, monkeypatch, cap
     trained = ear("train", "halfcheetah-vel", *TINY, "--seeds", "2", "--out", "run", cwd=tmp_path)
     assert (trained.returncode, trained.stdout) == (0, ""), trained.stderr
     assert "epoch 2/2" in trained.stderr
+    assert "curves: run/figures/training.png" in trained.stderr
+    assert (tmp_path / "run" / "figures" / "training.png").stat().st_size > 5_000
     done = ear("evaluate", "run", "--episodes", "2", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from ear_jax.cli.main import main
+from ear_jax.cli.train import draw_curves
 from ear_jax.figures.train import draw_train
 from tests.helpers.records_of import write_records
 
@@ -79,6 +81,15 @@ def test_a_run_is_drawn_once_for_its_last_row(runs):
     assert draw_train(run) == []
     picture.unlink()
     assert draw_train(run) == [picture]
+
+
+def test_curves_that_cannot_be_drawn_are_a_warning(runs, capsys):
+    """A run that trained for hours does not fail for a picture."""
+    (runs / "ear-seed0" / "figures").touch()
+    draw_curves(Path("ear-seed0"))
+    error = capsys.readouterr().err
+    assert error.startswith("warning: the training curves were not drawn: cannot write ear-seed0/figures")
+    assert error.count("\n") == 1
 
 
 def test_looking_at_runs_needs_no_jax():
