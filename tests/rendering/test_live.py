@@ -217,7 +217,7 @@ class Heavier(Own):
 
 def test_models_are_handed_to_the_page_as_they_are():
     own = portable(Own("native"))
-    assert own["margins"] == [0.02], "the browser's MuJoCo takes the larger of two margins"
+    assert own["margins"] == [0.01]
     model = mujoco.MjModel.from_xml_string(own["xml"])
     assert (model.nq, model.nu, model.body_mass[1]) == (1, 1, 1)
     with pytest.raises(UsageError, match="cannot rebuild the family's model"):

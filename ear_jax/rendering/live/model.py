@@ -17,8 +17,6 @@ from ear_jax.errors import RunError, UsageError
 from ear_jax.physics.models import compile_model
 
 TOLERANCE = 1e-4  # relative; MJCF has six digits
-# The browser's MuJoCo is older and takes the larger margin of two geoms, where this one takes the sum.
-MARGIN = 2.0
 DEFAULT = ' input="pos"'  # of actuators: this MuJoCo writes it, and the browser's refuses it
 
 
@@ -35,7 +33,7 @@ def portable(family: Family) -> dict[str, Any]:
         except ValueError:
             continue
         if _same(rebuilt, family.model):
-            return {"xml": xml.replace(DEFAULT, ""), "margins": (MARGIN * family.model.geom_margin).round(6).tolist()}
+            return {"xml": xml.replace(DEFAULT, ""), "margins": family.model.geom_margin.tolist()}
     raise UsageError("the page cannot rebuild the family's model from MJCF; `source()` may return its text")
 
 

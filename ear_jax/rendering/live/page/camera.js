@@ -8,7 +8,7 @@ const NEAR = .2;  // metres
 export function makeCamera(view) {
   const kind = view.locomotion, elevation = ELEVATION[kind];
   const forward = Math.atan2(view.forward[0], view.forward[1]);  // clockwise from y
-  const camera = { kind, at: [...view.centre], speed: [0, 0], width: 1, height: 1 };
+  const camera = { kind, at: [...view.centre], speed: [0, 0], last: [...view.centre], lift: 0, width: 1, height: 1 };
   const [cos, sin] = [Math.cos(elevation), Math.sin(elevation)], [c, s] = [Math.cos(forward), Math.sin(forward)];
   const right = [c, -s, 0], ahead = [cos * s, cos * c, -sin], up = [sin * s, sin * c, cos];
   camera.basis = { right, up, ahead };
@@ -18,20 +18,26 @@ export function makeCamera(view) {
     camera.distance = tall / (2 * Math.tan(FIELD / 2));
     camera.focus = height / (2 * Math.tan(FIELD / 2));
     [camera.width, camera.height] = [width, height];
-    // The ground is in the lower part of the picture.
-    camera.at[2] = kind === "runs" ? .42 * tall : kind === "roams" ? .25 * view.top : view.centre[2];
+    // The ground is in the lower part of the picture, unless the robot stands up.
+    camera.tall = tall;
+    camera.ground = kind === "runs" ? .42 * tall : kind === "roams" ? .25 * view.top : view.centre[2];
+    camera.at[2] = camera.ground + (kind === "runs" ? camera.lift : 0);
   };
-  // Follows the robot's place without shaking with it; `seconds` since the last call.
-  camera.follow = (place, seconds) => {
+  // Follows the robot's place without shaking with it; `top` is its highest point, `seconds` are those since the last call.
+  camera.follow = (place, top, seconds) => {
     if (kind === "fixed" || seconds <= 0) return;
     [0, 1].forEach((axis) => {
-      const away = place[axis] - camera.at[axis];
-      camera.speed[axis] += away * Math.min(1, 5 * seconds);
-      camera.at[axis] += camera.speed[axis] * seconds + away * (1 - Math.exp(-5 * seconds));
-      camera.speed[axis] *= Math.exp(-.5 * seconds);
+      camera.speed[axis] += ((place[axis] - camera.last[axis]) / seconds - camera.speed[axis]) * (1 - Math.exp(-5 * seconds));
+      camera.at[axis] += camera.speed[axis] * seconds + (place[axis] - camera.at[axis]) * (1 - Math.exp(-5 * seconds));
     });
+    camera.last = [...place];
+    const wanted = Math.max(0, top + .12 * camera.tall - camera.ground - camera.tall / 2);
+    camera.lift += (wanted - camera.lift) * (1 - Math.exp(-3 * seconds));
   };
-  camera.jump = (place) => { if (kind !== "fixed") [camera.at[0], camera.at[1], camera.speed] = [place[0], place[1], [0, 0]]; };
+  camera.jump = (place) => {
+    if (kind === "fixed") return;
+    [camera.at[0], camera.at[1], camera.speed, camera.last, camera.lift] = [place[0], place[1], [0, 0], [...place], 0];
+  };
 
   // A place in the world on the picture: x, y, pixels per metre there, and the distance; null behind the camera.
   camera.project = (point) => {

@@ -83,10 +83,11 @@ function go(index) {
 function legend() {
   const { quantities } = show, quantity = quantities[show.quantity], [low, high] = quantity.scale;
   const digits = high - low < 3 ? 1 : 0;
-  element("low").textContent = signed(low, digits);
-  element("high").textContent = signed(high, digits);
+  const turns = quantity.unit === "degrees" ? "°" : "";
+  element("low").textContent = signed(low, digits) + turns;
+  element("high").textContent = signed(high, digits) + turns;
   element("bar").style.background = gradient(quantity);
-  element("unit").textContent = units(quantity.unit) + (show.description.ground.falls ? " · grey: falls" : "");
+  element("unit").textContent = (turns ? "" : quantity.unit) + (show.description.ground.falls ? " · grey: falls" : "");
   element("choice").replaceChildren(...(quantities.length < 2 ? [] : quantities.map((one, index) => {
     const made = button(one.name, () => { show.quantity = index; legend(); });
     made.setAttribute("aria-pressed", index === show.quantity);
@@ -131,7 +132,7 @@ function advance(seconds) {
   }
   if (robot.fell) { robot.resets++; show.fallen = FALL_SECONDS; show.owed = 0; }
   show.pose = between(robot.before, robot.now, Math.min(1, show.owed / step));
-  view.camera.follow(root(), seconds);
+  view.camera.follow(root(), Math.max(...show.pose.xpos.filter((_, index) => index % 3 === 2)), seconds);
 }
 function restart() {
   show.robot.reset();
@@ -184,6 +185,7 @@ let before = null, told = 0;
 function tick(now) {
   const seconds = before === null ? 0 : Math.min(.1, (now - before) / 1000);
   before = now;
+  pulling();
   show.steering.glide(still ? 9 : seconds);
   if (show.robot && reader.playing && !reader.byHand) advance(seconds * (reader.slow ? SLOW : 1));
   if (show.changed) { show.changed = false; drawPlaces(); told = 0; }
@@ -209,8 +211,8 @@ stage.addEventListener("pointerdown", (event) => {
   show.robot.pull = { body: held.body, from: placeOn(show.pose, held.body, held.there), to: held.there };
   show.grasp = { depth: held.depth, x, y };
 });
-stage.addEventListener("pointermove", (event) => { if (show.grasp) [show.grasp.x, show.grasp.y] = spot(event); pulling(); });
-function pulling() {
+stage.addEventListener("pointermove", (event) => { if (show.grasp) [show.grasp.x, show.grasp.y] = spot(event); });
+function pulling() {  // the pointer keeps its place on the picture while the camera moves on
   if (!show.grasp || !show.robot?.pull) return;
   show.robot.pull.to = show.view.camera.unproject(show.grasp.x, show.grasp.y, show.grasp.depth);
 }

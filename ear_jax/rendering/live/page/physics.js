@@ -2,8 +2,8 @@
 import { build } from "./program.js";
 
 const PUSH_SECONDS = 0.1;  // a push is a force for this long
-const PULL = 25;  // acceleration in m/s² of a free body of the robot's mass, for each metre that it is pulled
-const LIMIT = 60;  // m/s², the strongest pull
+const PULL = 12;  // acceleration in m/s² of a free body of the robot's mass, for each metre that it is pulled
+const LIMIT = 30;  // m/s², the strongest pull
 
 // Makes the robot of a description; `constants` are those of its programs.
 export function makeRobot(mj, description, constants) {
