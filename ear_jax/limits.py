@@ -42,7 +42,7 @@ def check(config: Config) -> None:
 
 def _check_count(name: str, value: int) -> None:
     limit = MAX_LAYERS if name.endswith(("_layers", "_blocks")) else MAX_COUNT
-    if value > limit and name != "seed":
+    if value > limit and name not in ("seed", "replay.capacity"):  # the one has a range, the other has to fit in memory
         raise UsageError(f"{flag(name)} {value} is too large; it must be at most {limit}")
 
 
