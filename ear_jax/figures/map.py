@@ -13,7 +13,7 @@ from matplotlib.colors import Colormap, Normalize
 from ear_jax.figures.style import STYLE, save_figure
 from ear_jax.files.replacing import folder
 
-VIEWS = ((20.0, 30.0), (20.0, 210.0))  # elevation and azimuth of the two sides of the sphere, degrees
+VIEWS = ((20.0, 30.0), (-20.0, 210.0))  # elevation and azimuth of two opposite sides of the sphere, degrees
 BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # box behind a label
 
 
@@ -48,22 +48,34 @@ def _draw_sphere(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(7.0, 3.4))
         for index, (elevation, azimuth) in enumerate(VIEWS):
-            axes: Any = figure.add_subplot(1, 2, index + 1, projection="3d", computed_zorder=False)
-            up, turn = np.radians((elevation, azimuth))
-            toward = np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
+            # Without perspective a view shows exactly half of the sphere.
+            axes: Any = figure.add_subplot(1, 2, index + 1, projection="3d", proj_type="ortho", computed_zorder=False)
+            toward = direction_of(elevation, azimuth)
             labels = trained + 0.17 * _across(trained, toward)
-            near = ltes @ toward > 0  # the other view shows the far side
-            points = axes.scatter(*ltes[near].T, c=np.array(entry["achieved"])[near], cmap=shades, norm=scale, s=14)
-            for task, code, label in zip(entry["trained"], trained, labels, strict=True):
-                if code @ toward > 0:
-                    axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4)
-                    axes.text(*label, _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=3)
+            near, shown = faces(ltes, index), faces(trained, index)
+            reached = np.array(entry["achieved"])[near]
+            points = axes.scatter(*ltes[near].T, c=reached, cmap=shades, norm=scale, s=14, depthshade=False)
+            for task, code, label in zip(np.array(entry["trained"])[shown], trained[shown], labels[shown], strict=True):
+                axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4, depthshade=False)
+                axes.text(*label, _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=3)
             axes.view_init(elevation, azimuth)
             axes.set_box_aspect((1, 1, 1), zoom=1.45)
             axes.set_axis_off()
         bar = figure.colorbar(points, ax=figure.axes, shrink=0.75, pad=0.02)
         bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
         return save_figure(figure, path)
+
+
+def direction_of(elevation: float, azimuth: float) -> np.ndarray:
+    """Returns the unit vector [3] from the sphere's centre to the viewer, of angles in degrees."""
+    up, turn = np.radians((elevation, azimuth))
+    return np.array([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
+
+
+def faces(codes: np.ndarray, view: int) -> np.ndarray:
+    """Returns which of some codes [n, 3] a view of `VIEWS` shows, bool [n]; each code is in exactly one of the two."""
+    first = codes @ direction_of(*VIEWS[0]) >= 0
+    return ~first if view else first
 
 
 def _across(codes: np.ndarray, toward: np.ndarray) -> np.ndarray:
@@ -81,7 +93,7 @@ def _draw_flat(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -> 
         points = axes.scatter(longitude, latitude, c=entry["achieved"], cmap=shades, norm=scale, s=12, linewidths=0)
         for task in entry["trained"]:
             position = _angles(np.array([task["lte"]]))
-            axes.scatter(*position, color="white", edgecolor="black", s=28, zorder=4)
+            axes.scatter(*position, color="white", edgecolor="black", s=28, zorder=4, clip_on=False)
             axes.annotate(
                 _label(task),
                 (position[0][0], position[1][0]),

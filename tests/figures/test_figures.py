@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from mpl_toolkits.mplot3d import Axes3D
 
 from ear_jax.figures import adapt, evaluate, interpolate
+from ear_jax.figures import map as map_figure
 
 QUANTITY = {"outcome": "velocity", "unit": "m/s"}
 
@@ -69,3 +71,33 @@ def test_a_search_shows_both_judgements_and_the_answer_of_the_map(tmp_path, draw
     assert drawn[:2] == [([1, 2], [-12, -8]), ([1, 2], [-9, -7])]
     np.testing.assert_array_equal(np.ravel(drawn[2]), [0, -10])
     assert adapt.draw_adapt(tmp_path, {"tasks": [{**task, "epochs": []}]}) == []
+
+
+def test_the_two_views_of_the_sphere_show_all_of_it_and_nothing_twice():
+    one, other = (map_figure.direction_of(*view) for view in map_figure.VIEWS)
+    np.testing.assert_allclose(one, -other, atol=1e-12)
+    across = np.cross(one, [0, 0, 1])  # on the rim of both
+    codes = np.concatenate([np.random.default_rng(0).normal(size=(1000, 3)), [across, -across, one, other]])
+    shown = np.stack([map_figure.faces(codes, view) for view in (0, 1)])
+    np.testing.assert_array_equal(shown.sum(0), 1)
+    np.testing.assert_array_equal(shown[:, -2:], np.eye(2, dtype=bool))
+
+
+def test_every_training_task_and_every_lte_is_drawn_once_on_the_sphere(tmp_path, monkeypatch):
+    labels, points = [], []
+    text, scatter = Axes3D.text, Axes3D.scatter
+    monkeypatch.setattr(
+        Axes3D, "text", lambda self, *where, **how: labels.append(where[3]) or text(self, *where, **how)
+    )
+    monkeypatch.setattr(
+        Axes3D, "scatter", lambda self, *xyz, **how: points.append(np.size(xyz[0])) or scatter(self, *xyz, **how)
+    )
+    codes = np.random.default_rng(1).normal(size=(60, 3))
+    codes = (codes / np.linalg.norm(codes, axis=1, keepdims=True)).tolist()
+    trained = [{"name": f"vel-{index}", "target": float(index), "lte": code} for index, code in enumerate(codes[:12])]
+    entry = {"seed": 3, "ltes": codes, "achieved": list(range(60)), "trained": trained}
+    document = {"commanded": {**QUANTITY, "period": None}, "seeds": [entry]}
+    pictures = map_figure.draw_map(tmp_path, document)
+    assert [picture.name for picture in pictures] == ["sphere_seed3.png", "map_seed3.png"]
+    assert sorted(labels, key=float) == [str(index) for index in range(12)]
+    assert sum(points) == 60 + 12
