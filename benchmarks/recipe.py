@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from benchmarks.common import RESULTS
-from ear_jax.figures.style import COLOURS, STYLE, legend_below, save_figure
+from ear_jax.figures.style import COLOURS, STYLE, save_figure
 from ear_jax.runs import records
 from experiments.report import documents
 from experiments.report.blocks import Table
@@ -49,7 +49,7 @@ def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
         axes.plot([], [], color="0.7", linewidth=0.8, label="shorter")
     axes.set(xlabel="updates (thousands)", ylabel="return, mean over tasks", ylim=_upper(rows))
     axes.set_title(NAMES[rows[0]["family"]])
-    legend_below(axes, 2)
+    axes.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.01, 1.0))
 
 
 def _median_of_five(values: np.ndarray) -> np.ndarray:
@@ -82,10 +82,9 @@ def main(picture: Path = PICTURE) -> None:
     documents.put(DOCUMENT, PLACE, trials(rows))
     families = list(dict.fromkeys(row["family"] for row in rows))
     with plt.rc_context(STYLE):
-        lines = -(-len(families) // 2)
-        figure = plt.figure(figsize=(9.6, 4.8 * lines), layout="constrained")
-        for place, family in enumerate(families, start=1):
-            draw(figure.add_subplot(lines, 2, place), [row for row in rows if row["family"] == family])
+        figure, grid = plt.subplots(len(families), figsize=(9.6, 3.4 * len(families)), layout="constrained")
+        for axes, family in zip(grid, families, strict=True):
+            draw(axes, [row for row in rows if row["family"] == family])
         save_figure(figure, picture)
     print(picture)
 

@@ -145,13 +145,15 @@ class Family(Env):
         key_qpos, key_qvel = jax.random.split(key)
         noise = jax.random.uniform(key_qpos, (self.model.nq,), minval=-position, maxval=position)
         qpos0 = jnp.asarray(self.model.qpos0, jnp.float32)
-        return Physics(qpos0 + noise, speed(key_qvel, (self.model.nv,)), jnp.zeros(self.model.nv))
+        act = {"act": jnp.zeros(self.model.na)} if self.model.na else {}
+        return Physics(qpos0 + noise, speed(key_qvel, (self.model.nv,)), jnp.zeros(self.model.nv), **act)
 
     def start(self, key: jax.Array, task: TaskParams) -> State:
         """Starts an episode of one task at a random state."""
         key_initial, key_later = jax.random.split(key)
         physics = self.initial(key_initial)
-        shapes = jax.eval_shape(self.outcome, Motion(physics, *self._no_motion()))
+        no_motion = (physics, jnp.zeros(self.model.nu), physics, jnp.zeros((len(self.bodies), 3)))
+        shapes = jax.eval_shape(self.outcome, Motion(*no_motion))
         outcome = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
         info: dict[str, Any] = {"task": task, "key": key_later}
         return State(physics, self._first_obs(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
@@ -188,11 +190,6 @@ class Family(Env):
 
     def _first_obs(self, physics: Physics) -> jax.Array:
         return jnp.tile(self.observe(physics), self.history)
-
-    def _no_motion(self) -> tuple[jax.Array, Physics, jax.Array]:
-        """Returns the fields of a `Motion` after `before`, as zeros, to evaluate shapes only."""
-        qpos, speed = jnp.zeros(self.model.nq), jnp.zeros(self.model.nv)
-        return jnp.zeros(self.model.nu), Physics(qpos, speed, speed), jnp.zeros((len(self.bodies), 3))
 
 
 def _with_fresh_start(family: Family, info: dict[str, Any]) -> dict[str, Any]:

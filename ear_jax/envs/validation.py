@@ -44,8 +44,9 @@ def check_family(family: Family) -> None:
     if not isinstance(physics, Physics):
         raise UsageError(f"initial() must return a Physics, but returns {_kind(physics)}")
     model = family.model
-    mocap = {"mocap": (model.nmocap, 3)} if model.nmocap else {}
-    for field, shape in {"qpos": (model.nq,), "qvel": (model.nv,), "warmstart": (model.nv,), **mocap}.items():
+    optional: dict[str, tuple[int, ...]] = {"mocap": (model.nmocap, 3)} if model.nmocap else {}
+    optional |= {"act": (model.na,)} if model.na else {}
+    for field, shape in {"qpos": (model.nq,), "qvel": (model.nv,), "warmstart": (model.nv,), **optional}.items():
         _expect(f"initial().{field}", getattr(physics, field), shape, "float32")
     _expect("observe()", _traced(family, "observe")(physics), None, "float32")
     _expect("terminated()", _traced(family, "terminated")(physics), (), "bool")

@@ -8,7 +8,7 @@ import mujoco
 from ear_jax.errors import RunError, known_name, unknown
 from ear_jax.names import ENGINES
 from ear_jax.physics.native import NativeEngine
-from ear_jax.physics.state import Engine
+from ear_jax.physics.state import Engine, check_state
 
 
 def choose_engine(name: str) -> str:
@@ -42,9 +42,10 @@ def make_engine(
         always waits for the slowest simulation.
 
     Raises:
-      UsageError: the engine or a body is unknown.
+      UsageError: the engine or a body is unknown, or the model has a state that `Physics` does not hold.
       RunError: the engine does not run here.
     """
+    check_state(model)
     body_ids = [_body_id(model, body) for body in bodies]
     name = choose_engine(name)
     if name == "native":

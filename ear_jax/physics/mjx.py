@@ -35,9 +35,12 @@ class MjxEngine:
         data = self._blank.replace(qpos=physics.qpos, qvel=physics.qvel, qacc_warmstart=physics.warmstart, ctrl=action)
         if physics.mocap is not None:
             data = data.replace(mocap_pos=physics.mocap)
+        if physics.act is not None:
+            data = data.replace(act=physics.act)
         with jax.default_matmul_precision("highest"):  # a GPU's default rounds mantissas to 10 bits
             data, _ = jax.lax.scan(lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps)
-        after = Physics(data.qpos, data.qvel, data.qacc_warmstart, physics.mocap)
+        act = None if physics.act is None else data.act
+        after = Physics(data.qpos, data.qvel, data.qacc_warmstart, physics.mocap, act)
         return Motion(physics, action, after, self._positions(data.qpos))
 
 

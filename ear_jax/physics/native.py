@@ -42,11 +42,12 @@ class NativeEngine:
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
         model = self._model
-        results = tuple(jax.ShapeDtypeStruct((size,), jnp.float32) for size in (model.nq, model.nv, model.nv))
+        sizes = (model.nq, model.nv, model.nv, *((model.na,) if model.na else ()))
+        results = tuple(jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes)
         step = buffer_callback(self._step_batch, results, vmap_method="broadcast_all")
-        mocap = () if physics.mocap is None else (physics.mocap,)
-        qpos, qvel, warmstart = step(physics.qpos, physics.qvel, physics.warmstart, action, *mocap)
-        return Motion(physics, action, Physics(qpos, qvel, warmstart, physics.mocap), self._positions(qpos))
+        optional = tuple(field for field in (physics.act, physics.mocap) if field is not None)
+        qpos, qvel, warmstart, *act = step(physics.qpos, physics.qvel, physics.warmstart, action, *optional)
+        return Motion(physics, action, Physics(qpos, qvel, warmstart, physics.mocap, *act), self._positions(qpos))
 
     def _step_batch(self, context, outputs, *inputs) -> None:
         """Runs on the host with the buffers of the whole batch, whose leading axes are the vmapped ones."""
@@ -64,9 +65,9 @@ class NativeEngine:
 
     def _make_pool(self, count: int) -> _Pool:
         batch = Batch(self._model, count)
-        state = (batch.qpos, batch.qvel, batch.qacc_warmstart)
+        state, act = (batch.qpos, batch.qvel, batch.qacc_warmstart), (batch.act,) if self._model.na else ()
         mocap = (batch.mocap_pos,) if self._model.nmocap else ()
-        self._pools[count] = _Pool(batch, (*state, batch.ctrl, *mocap), state)
+        self._pools[count] = _Pool(batch, (*state, batch.ctrl, *act, *mocap), (*state, *act))
         return self._pools[count]
 
 

@@ -6,6 +6,7 @@ import importlib.util
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ import pytest
 from ear_jax.errors import RunError, UsageError
 from ear_jax.physics import Physics, choose_engine, make_engine
 from ear_jax.physics.models import gymnasium_model_path, load_model
+from ear_jax.physics.state import check_state
 
 SUBSTEPS = 5
 BODIES = ("bfoot", "torso")
@@ -119,6 +121,7 @@ def test_models_are_gymnasiums():
     code = """
 import mujoco, numpy as np, os, tempfile
 from ear_jax.physics.models import gymnasium_model_path, load_model
+from ear_jax.physics.state import check_state
 for filename in ("half_cheetah.xml", "ant.xml", "hopper.xml", "walker2d.xml"):
     os.chdir(tempfile.mkdtemp())
     ours = load_model(filename)
@@ -182,3 +185,70 @@ def test_threads_that_share_an_engine_do_not_share_their_simulations(cheetah):
         together = list(pool.map(lambda side: np.asarray(roll(*side)), sides * 4))
     for index, qpos in enumerate(together):
         np.testing.assert_array_equal(qpos, alone[index % 2])
+
+
+ACTUATED = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 0">{option}</option>
+  <worldbody>
+    <body><joint name="s" type="slide" axis="1 0 0" range="-9 9"/><geom size="0.1" mass="1"/></body>
+    <body pos="0 0 1"><joint name="t" type="slide" axis="1 0 0" damping="1"/><geom size="0.1" mass="1"/></body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
+WITH_STATES = {
+    "filter": '<general joint="s" dyntype="filter" dynprm="0.5" gainprm="10"/>',
+    "two of three": '<general joint="s" dyntype="filterexact" dynprm="0.2" gainprm="3"/><motor joint="t"/>'
+    '<intvelocity joint="t" kp="2" actrange="-1 1"/>',
+    "muscle": '<muscle joint="s" force="5"/>',
+}
+
+
+def loaded(actuators: str, option: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(ACTUATED.format(actuators=actuators, option=option))
+
+
+@pytest.mark.parametrize(("name", "engine"), [*((name, "native") for name in WITH_STATES), ("two of three", "mjx")])
+def test_activations_are_carried_from_step_to_step(name, engine):
+    """Twenty steps of one control each end where C MuJoCo does, which keeps all of its state."""
+    model, control = loaded(WITH_STATES[name]), 0.8
+    data = mujoco.MjData(model)
+    physics = Physics(*(jnp.zeros(size) for size in (model.nq, model.nv, model.nv)), act=jnp.zeros(model.na))
+    step = jax.jit(make_engine(engine, model, 2, (), (20, 20)).step)
+    for _ in range(20):
+        data.ctrl[:] = control
+        mujoco.mj_step(model, data, 2)
+        physics, again = (step(physics, jnp.full(model.nu, control)).after for _ in range(2))
+        jax.tree.map(np.testing.assert_array_equal, physics, again)
+    assert np.abs(data.act).min() > 0.01
+    for field in ("act", "qpos", "qvel"):
+        np.testing.assert_allclose(getattr(physics, field), getattr(data, field), rtol=1e-4, atol=1e-6)
+
+
+def test_a_batch_of_simulations_keeps_its_activations_apart():
+    model = loaded(WITH_STATES["filter"])
+    step = jax.vmap(make_engine("native", model, 1, (), (4, 8)).step)
+    zeros, act = jnp.zeros((3, 2)), jnp.array([[0.0], [0.5], [1.0]])
+    after = step(Physics(zeros, zeros, zeros, act=act), jnp.zeros((3, 1))).after
+    np.testing.assert_allclose(after.act, act * (1 - 0.01 / 0.5), rtol=1e-6)
+    np.testing.assert_allclose(after.qvel[:, 0], 10 * act[:, 0] * 0.01 / 1, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("actuators", "option", "complaint"),
+    [
+        ('<motor joint="s" delay="0.05" nsample="6"/>', "", "has delays of actuators or sensors"),
+        ('<motor joint="s"/>', '<flag sleep="enable"/>', "has bodies that fall asleep"),
+    ],
+)
+def test_a_model_with_a_hidden_state_is_refused(actuators, option, complaint):
+    with pytest.raises(UsageError, match=f"the model {complaint}, which a run cannot carry"):
+        make_engine("native", loaded(actuators, option), 1, (), (4, 8))
+
+
+def test_a_plugin_with_a_state_is_refused():
+    """No plugin with a state ships with MuJoCo's wheel for every system, so a stand-in has its numbers."""
+    model = SimpleNamespace(nhistory=0, npluginstate=3, opt=SimpleNamespace(enableflags=0))
+    with pytest.raises(UsageError, match="has plugins with a state"):
+        check_state(model)
