@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result, print_table
+from ear_jax.cli.results import check_writable, keep, label_of, print_table, show_and_keep
 from ear_jax.embeddings import ltes
 from ear_jax.errors import UsageError, plain
 from ear_jax.process.terminal import phase
@@ -68,12 +68,13 @@ def main(words: list[str]) -> None:
         "mapping the LTE sphere" if command.zero_shot else f"adapting to {len(tasks)} tasks, {each} episodes each"
     )
     with phase(activity):
-        document = adapt(trained, tasks, None if command.zero_shot else search, command.episodes, command.seed)
+        chosen = None if command.zero_shot else search
+        document = adapt(trained, tasks, chosen, command.episodes, command.seed, within_reach=bool(named))
     if command.save is not None:
         codes = [task["lte"] for task in document["tasks"]]
         ltes.save(trained.directory, command.save, tasks.names[0], codes, trained.fingerprint)
-    pictures = keep(trained.directory, "adaptation.json", document, draw_adapt)
-    print_result(document, pictures, command.json, partial(_print, unit=family.unit))
+    kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
+    show_and_keep(document, command.json, partial(_print, unit=family.unit), kept)
 
 
 def _check(command: AdaptCommand) -> None:
@@ -96,6 +97,7 @@ def _check_for(trained: Trained, command: AdaptCommand, search: Search, tasks: T
         raise UsageError(f"--zero-shot needs tasks with a target {family.commanded}; {untargeted[0]} has none")
     if command.save is not None:
         _check_save(command.save, trained)
+        check_writable(trained.directory)
     if trained.program.agent.finds_codes and search != type(search)(search.epochs):
         raise UsageError(f"--elites, --samples and --sigma set up the cross-entropy method, which {agent} does not use")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +11,7 @@ import tyro
 
 from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.plot import PLOTS
-from ear_jax.cli.results import print_result, print_table
+from ear_jax.cli.results import print_table, short_hash, show_and_keep
 from ear_jax.errors import UsageError
 from ear_jax.runs.comparison import compare
 from ear_jax.runs.groups import two_groups
@@ -47,9 +48,11 @@ def main(words: list[str]) -> None:
 
     if command.out is not None:
         check_format(command.out)
-    file = command.out or PLOTS / f"{ours[0].name}_against_{theirs[0].name}.png"
-    pictures = draw_compare([file], document)
-    print_result(document, pictures, command.json, _print)
+    named = f"{ours[0].name}_against_{theirs[0].name}"
+    if len(ours) + len(theirs) > 2 or ours[0].name == theirs[0].name:  # which other runs may share
+        named += "_" + short_hash(f"{[*map(str, ours)]} {[*map(str, theirs)]}")
+    file = command.out or PLOTS / f"{named}.png"
+    show_and_keep(document, command.json, _print, partial(draw_compare, [file], document))
 
 
 def _print(document: dict[str, Any]) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
 import tyro
 
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result, print_table
+from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
 from ear_jax.errors import UsageError
 from ear_jax.process.terminal import phase
 
@@ -47,8 +48,8 @@ def main(words: list[str]) -> None:
         raise UsageError(f"--between {' '.join(command.between)} names one task twice")
     with phase(f"rolling out {len(command.beta)} blends"):
         document = compose(trained, first, second, command.beta, command.steps, command.seed)
-    pictures = keep(trained.directory, "composition.json", document, draw_compose)
-    print_result(document, pictures, command.json, _print)
+    kept = partial(keep, trained.directory, "composition", label_of(command), document, draw_compose)
+    show_and_keep(document, command.json, _print, kept)
 
 
 def _print(document: dict[str, Any]) -> None:

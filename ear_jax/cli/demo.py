@@ -74,7 +74,7 @@ def _train(command: DemoCommand) -> None:
     trained = load_run(command.out, None, None)
     with phase(f"playing {EPISODES} episodes of each task"):
         evaluation = evaluate(trained, EPISODES, SEED)
-    pictures = [*keep_evaluation(command.out, evaluation), draw_tasks(trained, evaluation)]
+    pictures = [*keep_evaluation(command.out, evaluation, "_demo"), draw_tasks(trained, evaluation)]
     tasks = [task for seed in evaluation["seeds"] for task in seed["tasks"]]
     errors = [abs(speed - task["target"]) for task in tasks for speed in task["episodes"]["velocity"]]
     error = sum(errors) / len(errors)

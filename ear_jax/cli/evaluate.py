@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from ear_jax.cli.arguments import check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_table
+from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
 from ear_jax.embeddings import ltes
 from ear_jax.errors import plain
 from ear_jax.process.terminal import phase, say
@@ -43,16 +43,15 @@ def main(words: list[str]) -> None:
         codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size, trained.fingerprint))
         with phase(f"playing {command.episodes} episodes"):
             document = evaluate_code(trained, codes, command.episodes, command.seed)
-    else:
-        with phase(f"playing {command.episodes} episodes of {len(trained.program.tasks)} tasks"):
-            document = evaluate(trained, command.episodes, command.seed)
-        keep_evaluation(trained.directory, document)
-    if command.json:
-        print(json.dumps(document))
-    elif command.lte:
-        _print_code(document)
-    else:
-        print_evaluation(document)
+        if command.json:
+            print(json.dumps(document))
+        else:
+            _print_code(document)
+        return
+    with phase(f"playing {command.episodes} episodes of {len(trained.program.tasks)} tasks"):
+        document = evaluate(trained, command.episodes, command.seed)
+    kept = partial(keep_evaluation, trained.directory, document, label_of(command))
+    show_and_keep(document, command.json, print_evaluation, kept)
 
 
 def _print_code(document: dict[str, Any]) -> None:
@@ -64,12 +63,12 @@ def _print_code(document: dict[str, Any]) -> None:
         print(f"seed {entry['seed']}: {quantity} {outcome[quantity]:.2f} {unit}, {others}, {steps}")
 
 
-def keep_evaluation(run: Path, evaluation: dict[str, Any]) -> list[Path]:
+def keep_evaluation(run: Path, evaluation: dict[str, Any], label: str = "") -> list[Path]:
     """Writes an evaluation into its run's directory and draws the run's figures; returns their paths."""
     from ear_jax.figures.evaluate import draw_evaluate  # matplotlib takes a second to import
 
     rows = records.read_rows(run / "metrics.jsonl", say, records.METRICS)
-    return keep(run, "evaluation.json", evaluation, partial(draw_evaluate, rows=rows))
+    return keep(run, "evaluation", label, evaluation, partial(draw_evaluate, rows=rows))
 
 
 def print_evaluation(evaluation: dict[str, Any]) -> None:

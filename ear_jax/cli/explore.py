@@ -13,6 +13,7 @@ import tyro
 from ear_jax import pretrained
 from ear_jax.cli.arguments import check_least, option, parse
 from ear_jax.cli.on_run import OnPolicy
+from ear_jax.cli.results import check_writable
 from ear_jax.errors import RunError, UsageError
 from ear_jax.process.terminal import phase, say
 
@@ -66,6 +67,7 @@ def explore(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
     from ear_jax.rendering.live import page, wasm
 
     check_sphere(trained, 3)
+    check_writable(trained.directory)
     seed = trained.program.config.seed + command.policy
     path = trained.directory / f"{name(command, seed)}.html"
     described = None if command.replay else live(command, trained)

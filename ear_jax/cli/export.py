@@ -12,6 +12,7 @@ import tyro
 from ear_jax import pretrained
 from ear_jax.cli.arguments import option, parse
 from ear_jax.cli.on_run import load_run
+from ear_jax.cli.results import check_writable
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.replacing import write_text
 from ear_jax.pretrained import SUFFIX
@@ -61,6 +62,7 @@ def main(words: list[str]) -> None:
         from ear_jax.runs.onnx import import_onnx
 
         import_onnx()
+    check_writable(command.file.parent)
     trained = load_run(command.run, command.family, "auto")  # no physics is stepped, so that any engine will do
     from ear_jax.runs.trained import describe, pick, save
 

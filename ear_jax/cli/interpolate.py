@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result, print_table
+from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
 from ear_jax.errors import UsageError
 from ear_jax.process.terminal import phase
 
@@ -73,8 +74,8 @@ def main(words: list[str]) -> None:
             document = _at_betas(trained, pairs, command)
         else:
             document = interpolate(trained, pairs, command.target, command.episodes, command.seed, command.along)
-    pictures = keep(trained.directory, "interpolation.json", document, draw_interpolate)
-    print_result(document, pictures, command.json, _print)
+    kept = partial(keep, trained.directory, "interpolation", label_of(command), document, draw_interpolate)
+    show_and_keep(document, command.json, _print, kept)
 
 
 def _at_betas(trained: Trained, pairs: list[Pair], command: InterpolateCommand) -> dict[str, Any]:

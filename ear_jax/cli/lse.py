@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any
 
 from ear_jax.cli.arguments import option, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result
+from ear_jax.cli.results import keep, label_of, show_and_keep
 from ear_jax.process.terminal import phase
 
 
@@ -33,8 +34,8 @@ def main(words: list[str]) -> None:
     task = names[len(names) // 2] if command.task is None else find_task(trained.program.family, command.task).name
     with phase("playing an episode"):
         document = lse(trained, task, command.seed)
-    pictures = keep(trained.directory, "lse.json", document, draw_lse)
-    print_result(document, pictures, command.json, _print)
+    kept = partial(keep, trained.directory, "lse", label_of(command), document, draw_lse)
+    show_and_keep(document, command.json, _print, kept)
 
 
 def _print(document: dict[str, Any]) -> None:

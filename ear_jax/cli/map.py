@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import keep, print_result
+from ear_jax.cli.results import keep, label_of, show_and_keep
 from ear_jax.process.terminal import phase
 
 
@@ -34,8 +35,8 @@ def main(words: list[str]) -> None:
     check_sphere(trained, 3)
     with phase(f"rolling out {command.places} LTEs"):
         document = describe(trained, survey(trained, command.places, command.episodes, command.seed))
-    pictures = keep(trained.directory, "map.json", document, draw_map)
-    print_result(document, pictures, command.json, _print)
+    kept = partial(keep, trained.directory, "map", label_of(command), document, draw_map)
+    show_and_keep(document, command.json, _print, kept)
 
 
 def _print(document: dict[str, Any]) -> None:

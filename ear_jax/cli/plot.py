@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import tyro
 
 from ear_jax.cli.arguments import option, parse, required
-from ear_jax.cli.results import print_pictures
+from ear_jax.cli.results import print_pictures, short_hash
 from ear_jax.errors import UsageError
 from ear_jax.runs.groups import Group, group, read
 
@@ -62,6 +62,7 @@ def _files(command: PlotCommand, groups: list[Group]) -> list[Path]:
     if command.out is not None:
         return [command.out]
     names = [Path(one.name).name for one in groups]
-    named = "_".join(names) if len(names) < 3 else f"{names[0]}_and_{len(names) - 1}_more"
+    more = f"{names[0]}_and_{len(names) - 1}_more_{short_hash(' '.join(map(str, command.runs)))}"
+    named = "_".join(names) if len(names) < 3 else more
     stem = re.sub(r"[^\w.+-]+", "_", f"{named}_{command.metric}_by_{command.by}")
     return [PLOTS / f"{stem}.png", PLOTS / f"{stem}.svg"]

@@ -10,7 +10,7 @@ import tyro
 
 from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnPolicy
-from ear_jax.cli.results import print_pictures
+from ear_jax.cli.results import check_writable, label_of, print_pictures
 from ear_jax.errors import UsageError
 from ear_jax.process.terminal import phase
 
@@ -49,12 +49,13 @@ def main(words: list[str]) -> None:
     from ear_jax.embeddings.trajectory import follow
     from ear_jax.runs.trained import policy_of
 
+    check_writable(trained.directory)
     program, policy = trained.program, policy_of(trained, command.policy)
     shots = choose_shots(command, trained, policy)
     with phase("rolling out"):
         codes = jnp.stack([shot.code for shot in shots])
         trajectories = follow(program, policy, codes, command.steps, jax.random.key(command.seed))
-    name = file_name(command, shots)
+    name = file_name(command, shots) + label_of(command, without=("task", "lte", "interpolate"))
     files = draw(trained.directory, name, program.family, shots, trajectories, command.film)
     if not command.json:
         print_pictures(files.values())

@@ -1,8 +1,12 @@
-"""The last steps of an analysis command: keep its document, draw the figures and print both."""
+"""The last steps of an analysis command: print its document, keep it and draw the figures."""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import json
+import os
+import re
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -11,27 +15,88 @@ from typing import Any
 
 from rich.cells import cell_len
 
-from ear_jax.errors import plain
+from ear_jax.errors import RunError, plain
+from ear_jax.process.terminal import say
 from ear_jax.runs import records
 
-Draw = Callable[[Path, dict[str, Any]], list[Path]]  # figures folder, document → paths of the figures
+Draw = Callable[[Path, dict[str, Any], str], list[Path]]  # figures folder, document, label → paths of the figures
+UNLABELLED = ("run", "family", "json", "save", "film")  # options that change neither numbers nor pictures
+LONGEST = 100  # letters of a label
 
 
-def keep(run: Path, file: str, document: dict[str, Any], draw: Draw) -> list[Path]:
-    """Writes a document with its provenance into a run's directory, and draws its figures; returns their paths."""
-    records.write_json(run / file, {**document, **records.provenance()})
-    return draw(run / "figures", document)
+def label_of(command: Any, without: Sequence[str] = ()) -> str:
+    """Returns the part of a file's name that tells apart the outputs of one command: its options besides the defaults.
+
+    The same options give the same label, as in `_between-2-3_target-2.5`; without any it is empty. A long label is cut
+    short, and its hash added.
+
+    Args:
+      command: the parsed command line.
+      without: options that the file's name already tells.
+    """
+    parts = []
+    for field in dataclasses.fields(command):
+        value = getattr(command, field.name)
+        default = None if field.default is dataclasses.MISSING else field.default
+        if value != default and field.name not in (*UNLABELLED, *without):
+            words = value if isinstance(value, tuple) else () if value is True else (value,)
+            parts.append("-".join(map(str, ("random" if field.name == "seed" else field.name, *words))))
+    whole = "".join(f"_{part}" for part in parts)
+    safe = re.sub(r"[^\w.+-]+", "-", whole)
+    return safe if safe == whole and len(safe) <= LONGEST else f"{safe[:LONGEST]}-{short_hash(whole)}"
 
 
-def print_result(
-    document: dict[str, Any], pictures: list[Path], as_json: bool, print_text: Callable[[dict[str, Any]], None]
+def short_hash(text: str) -> str:
+    """Returns eight letters that tell a text from others."""
+    return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()[:8]
+
+
+def check_writable(directory: Path) -> None:
+    """Raises RunError if files cannot be written in a directory; a command whose result is a file asks before it works.
+
+    The directory itself may not exist yet.
+    """
+    existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
+    if not (existing.is_dir() and os.access(existing, os.W_OK | os.X_OK)):
+        raise RunError(f"cannot write in {existing}")
+
+
+def keep(run: Path, name: str, label: str, document: dict[str, Any], draw: Draw) -> list[Path]:
+    """Writes a document with its provenance into a run's directory, and draws its figures; returns their paths.
+
+    Raises:
+      RunError: they cannot be written.
+    """
+    records.write_json(run / f"{name}{label}.json", {**document, **records.provenance()})
+    return draw(run / "figures", document, label)
+
+
+def show_and_keep(
+    document: dict[str, Any],
+    as_json: bool,
+    print_text: Callable[[dict[str, Any]], None],
+    keep: Callable[[], list[Path]],
 ) -> None:
-    """Prints a document with the paths of its figures, as JSON or by `print_text`."""
+    """Prints a document, keeps it, and prints the paths of its figures; warns if it cannot be kept.
+
+    Args:
+      document: the results.
+      as_json: print one JSON document, which holds the paths as `figures`.
+      print_text: prints the document otherwise.
+      keep: writes the results and returns the paths of the figures.
+    """
+    if not as_json:
+        print_text(document)
+        sys.stdout.flush()
+    try:
+        pictures = keep()
+    except (RunError, OSError) as error:
+        say(f"warning: these results are not kept: {error}")
+        pictures = []
     if as_json:
         print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
-        return
-    print_text(document)
-    print_pictures(pictures)
+    else:
+        print_pictures(pictures)
 
 
 def print_pictures(pictures: Iterable[Path]) -> None:

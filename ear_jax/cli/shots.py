@@ -73,13 +73,13 @@ def draw(
     path = figures / f"strip_{name}.png"
     try:
         with phase("drawing the strip"):
-            draw_strip(path, photograph(strip), strip.bounds, strip.caption)
+            draw_strip(path, photograph(strip), strip.bounds, strip.caption, strip.beside)
         if not with_film:
             return {"strip": path}
         with phase("filming"):
             pictures, seconds = film(strip.model, trajectories, [shot.name for shot in shots], family.dt)
     except RunError as error:
-        draw_strip(path, strip.panels, strip.bounds, strip.caption)
+        draw_strip(path, strip.panels, strip.bounds, strip.caption, strip.beside)
         raise RunError(f"{error}; {path} shows stick figures instead, and there is no film") from None
     videos = records.folder(run / "videos")
     files = {"strip": path, "gif": write_gif(videos / f"{name}.gif", pictures, seconds)}

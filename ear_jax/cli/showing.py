@@ -105,4 +105,4 @@ def _draw(path: Path, trained: Trained, codes: jax.Array, labels: list[str]) -> 
         panels = photograph(strip)
     except RunError:
         panels = strip.panels
-    return draw_strip(path, panels, strip.bounds, strip.caption)
+    return draw_strip(path, panels, strip.bounds, strip.caption, strip.beside)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ import tyro
 
 from ear_jax.cli import train
 from ear_jax.cli.arguments import option
-from ear_jax.cli.results import keep, print_result, print_table
+from ear_jax.cli.results import keep, print_table, show_and_keep
 from ear_jax.config import Config, flag, flat, run_name
 from ear_jax.errors import UsageError, unknown
 from ear_jax.limits import check
@@ -80,16 +81,17 @@ def main(words: list[str]) -> None:
     for members in groups:
         train_runs([Run(trial.config, directory / trial.name) for trial in members])
     document = sweep.describe(directory)
-    print_result(document, keep(directory, sweep.NAME, document, draw), command.json, _print)
+    kept = partial(keep, directory, Path(sweep.NAME).stem, "", document, draw)
+    show_and_keep(document, command.json, _print, kept)
 
 
-def draw(figures: Path, document: dict[str, Any]) -> list[Path]:
+def draw(figures: Path, document: dict[str, Any], label: str) -> list[Path]:
     """Draws the trials' curves, the best first; returns the paths."""
     from ear_jax.figures.plot import draw_plot
 
     shown = [figures.parent / trial["name"] for trial in document["trials"] if trial["curve"]][:SHOWN]
     runs = group([read_records(run) for run in shown])
-    return draw_plot([figures / "sweep.png"], runs, "mean_return", "updates") if runs else []
+    return draw_plot([figures / f"sweep{label}.png"], runs, "mean_return", "updates") if runs else []
 
 
 def read(words: list[str]) -> tuple[SweepCommand, list[Trial]]:

@@ -13,13 +13,20 @@ from ear_jax.agents.networks import Params
 from ear_jax.embeddings.map import PLACES, LteMap, check_reach, code_for_target, reaches, survey
 from ear_jax.embeddings.search import Progress, Search, episodes_an_epoch, find_codes, reevaluate
 from ear_jax.process.runtime import compiler_options
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
 from ear_jax.runs.training import evaluation_keys
 from ear_jax.tasks import Task, TaskSet
 
 
 def adapt(
-    trained: Trained, tasks: TaskSet, search: Search | None, episodes: int, seed: int, places: int = PLACES
+    trained: Trained,
+    tasks: TaskSet,
+    search: Search | None,
+    episodes: int,
+    seed: int,
+    places: int = PLACES,
+    within_reach: bool = False,
 ) -> dict[str, Any]:
     """Adapts every seed's policy to every task, by search and from a map of the LTE sphere.
 
@@ -32,20 +39,24 @@ def adapt(
       episodes: fresh episodes in which a code is evaluated.
       seed: seeds everything.
       places: number of codes on the map.
+      within_reach: refuse a target that the map of no seed comes near, instead of searching for it.
 
     Returns:
       The document that `ear adapt --json` prints.
 
     Raises:
-      UsageError: without a search, a target that no code on the map comes near, or an agent without an LTE sphere.
+      UsageError: a target that no code on the map comes near, without a search or if asked; without a search, an
+        agent that has no LTE sphere.
+      RunError: the episodes do not fit in memory.
     """
     began = time.perf_counter()
     program, config = trained.program, trained.program.config
+    _check_sizes(trained, len(tasks), search, episodes)
     mapped = search is None or (program.agent.embed is not None and program.agent.on_sphere)
     targets = [(task, task.target) for task in tasks.tasks if task.target is not None and mapped]
     maps = survey(trained, places, 1, seed) if targets else []
-    if search is None:
-        for _, target in targets:
+    for _, target in targets:
+        if search is None or (within_reach and not any(reaches(one, program.family, target) for one in maps)):
             check_reach(maps, program.family, target)
     from_map = zero_shot(trained, maps, targets, episodes, seed) if targets else {}
     searched = _search_all(trained, tasks, search, seed, episodes) if search else {}
@@ -69,6 +80,15 @@ def adapt(
         "map_env_steps": steps_per_episode * (places if maps else 0),
         "seconds": round(time.perf_counter() - began, 2),
     }
+
+
+def _check_sizes(trained: Trained, tasks: int, search: Search | None, episodes: int) -> None:
+    """Raises RunError if a search or the episodes after it do not fit in memory."""
+    program = trained.program
+    at_once = max(search.candidates, episodes) if search else episodes
+    kept = search.epochs * (program.agent.code_size + 5) if search else 0  # numbers that epochs leave behind
+    steps = program.family.episode_length
+    check_rollouts(program, program.config.seeds * tasks * at_once, steps, kept // (steps * at_once))
 
 
 def _search_all(

@@ -14,6 +14,7 @@ from ear_jax.agents.networks import Params
 from ear_jax.learning.episodes import Episodes, achieved, play
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs import training
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
 from ear_jax.runs.training import Program, evaluation_keys
 
@@ -39,6 +40,7 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
     """
     program = trained.program
     config, count = program.config, program.config.seeds
+    check_rollouts(program, count * len(program.tasks) * episodes, program.family.episode_length)
     keys = evaluation_keys(jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), jnp.arange(count)), 0)
     options = compiler_options()
     start = jax.jit(jax.vmap(lambda key: training.evaluation_starts(program, key, episodes)), compiler_options=options)
@@ -78,6 +80,7 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
       The document that `ear evaluate --lte --json` prints.
     """
     program, family = trained.program, trained.program.family
+    check_rollouts(program, program.config.seeds * episodes, family.episode_length)
 
     def of_seed(policy: Params, key: jax.Array, code: jax.Array) -> tuple[Episodes, jax.Array]:
         played = play_codes(program, policy, program.agent.project(code)[None], key, episodes)

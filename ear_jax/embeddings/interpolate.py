@@ -20,6 +20,7 @@ from ear_jax.embeddings.evaluate import play_codes
 from ear_jax.envs import Family
 from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import achieved
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
 
 BETAS = tuple(round(0.01 * step, 2) for step in range(1, 100))
@@ -95,10 +96,13 @@ def play_blends(
 
     Raises:
       UsageError: no pairs, or `arc` for codes that do not lie on a sphere.
+      RunError: the episodes do not fit in memory.
     """
     if not pairs:
         raise UsageError(f"{trained.name} has no two tasks with a target {trained.program.family.commanded}")
     program, agent = trained.program, trained.program.agent
+    count = program.config.seeds * len(pairs) * len(betas) * episodes
+    check_rollouts(program, count, program.family.episode_length)
     firsts, seconds = (jnp.stack([end.codes for end in ends], axis=1) for ends in zip(*pairs, strict=True))
     over_betas = jax.vmap(between(agent, along), in_axes=(None, None, 0))
 

@@ -16,6 +16,7 @@ from ear_jax.envs import Family
 from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import achieved
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
 from ear_jax.tasks import TaskSet
 
@@ -45,9 +46,11 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[LteM
 
     Raises:
       UsageError: the agent has no LTEs, or they do not lie on a sphere.
+      RunError: the episodes do not fit in memory.
     """
     check_sphere(trained)
     program = trained.program
+    check_rollouts(program, program.config.seeds * places * episodes, program.family.episode_length)
     codes = spread_codes(places, program.agent.code_size)
 
     def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, Outcome]:

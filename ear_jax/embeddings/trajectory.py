@@ -12,6 +12,7 @@ from ear_jax.agents.networks import Params
 from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
 from ear_jax.learning.rollout import act_with, rollout
 from ear_jax.process.runtime import compiler_options
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.training import Program
 
 
@@ -44,8 +45,12 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
       codes: [rows, code].
       steps: environment steps; the family's time limit does not apply.
       key: seeds the start.
+
+    Raises:
+      RunError: the steps do not fit in memory.
     """
     family, env = program.family, PoseEnv(program.family)
+    check_rollouts(program, len(codes), steps + 1, family.model.nq)
     # One more step, for the pose before it. Rewards are not used, so that any task will do.
     shape = (steps + 1, len(codes), 1, family.action_size)
     task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)

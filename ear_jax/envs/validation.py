@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax.envs.family import Family
+from ear_jax.envs.rehearsal import check_pure, check_steps, warn_of_ranges
 from ear_jax.envs.user_code import source_file, user_code
 from ear_jax.errors import UsageError, unknown
 from ear_jax.physics import Motion, Physics
@@ -36,27 +37,28 @@ def check_class(kind: Any, name: str) -> None:
 
 
 def check_family(family: Family) -> None:
-    """Raises UsageError for a family's first fault, with what is expected instead."""
+    """Raises UsageError for a family's first fault, with what is expected instead; warns of odd ranges of controls."""
     tasks = _check_task_sets(family)
     if not family.action_size:
         raise UsageError("the model has no actuators")
-    physics = _traced(family, "initial")(jax.random.key(0))
-    if not isinstance(physics, Physics):
-        raise UsageError(f"initial() must return a Physics, but returns {_kind(physics)}")
-    model = family.model
-    optional: dict[str, tuple[int, ...]] = {"mocap": (model.nmocap, 3)} if model.nmocap else {}
-    optional |= {"act": (model.na,)} if model.na else {}
-    for field, shape in {"qpos": (model.nq,), "qvel": (model.nv,), "warmstart": (model.nv,), **optional}.items():
-        _expect(f"initial().{field}", getattr(physics, field), shape, "float32")
-    _expect("observe()", _traced(family, "observe")(physics), None, "float32")
-    _expect("terminated()", _traced(family, "terminated")(physics), (), "bool")
-    motion = Motion(*_check_actuate(family, physics), physics, jnp.zeros((len(family.bodies), 3)))
-    outcome = _traced(family, "outcome")(motion)
+    call = {name: _traced(family, name) for name in ("observe", "terminated", "actuate", "outcome", "reward")}
+    key, action = jax.random.key(0), jnp.zeros(family.action_size)
+    physics = _traced(family, "initial")(key)
+    _check_start(family, physics)
+    _expect("observe()", call["observe"](physics), None, "float32")
+    _expect("terminated()", call["terminated"](physics), (), "bool")
+    moved, control = _check_actuated(family, call["actuate"](physics, action))
+    motion = Motion(moved, control, physics, jnp.zeros((len(family.bodies), 3)))
+    outcome = call["outcome"](motion)
     _check_outcome(family, outcome)
-    reward = _traced(family, "reward")
     for task in tasks.tasks:
-        _expect(f"reward() of task {task.name!r}", reward(outcome, task.params), (), "float32")
+        _expect(f"reward() of task {task.name!r}", call["reward"](outcome, task.params), (), "float32")
     _expect("achieved()", _traced(family, "achieved")(outcome, outcome), ())
+    arguments = {"initial": (key,), "observe": (physics,), "terminated": (physics,), "actuate": (physics, action)}
+    arguments |= {"outcome": (motion,), "reward": (outcome, tasks.tasks[0].params), "achieved": (outcome, outcome)}
+    check_pure(family, {name: (_guarded(family, name), values) for name, values in arguments.items()})
+    check_steps(family, physics, tasks, call, _expect_finite)
+    warn_of_ranges(family)
 
 
 def check_task(task: Any, like: Any, source: str) -> None:
@@ -88,9 +90,19 @@ def _check_task_sets(family: Family) -> TaskSet:
     return training
 
 
-def _check_actuate(family: Family, physics: Physics) -> tuple[Physics, jax.Array]:
-    """Checks `actuate` and returns its result for an action of zeros."""
-    result = _traced(family, "actuate")(physics, jnp.zeros(family.action_size))
+def _check_start(family: Family, physics: Any) -> None:
+    if not isinstance(physics, Physics):
+        raise UsageError(f"initial() must return a Physics, but returns {_kind(physics)}")
+    model = family.model
+    shapes: dict[str, tuple[int, ...]] = {"qpos": (model.nq,), "qvel": (model.nv,), "warmstart": (model.nv,)}
+    shapes |= {"mocap": (model.nmocap, 3)} if model.nmocap else {}
+    shapes |= {"act": (model.na,)} if model.na else {}
+    for field, shape in shapes.items():
+        _expect(f"initial().{field}", getattr(physics, field), shape, "float32")
+
+
+def _check_actuated(family: Family, result: Any) -> tuple[Physics, jax.Array]:
+    """Checks and returns what `actuate` returns for an action of zeros."""
     if not (isinstance(result, tuple) and len(result) == 2 and isinstance(result[0], Physics)):
         raise UsageError(f"actuate() must return a Physics and a control, but returns {_kind(result)}")
     _expect("the control that actuate() returns", result[1], (family.model.nu,), "float32")
@@ -127,9 +139,13 @@ def _expect(name: str, value: Any, shape: tuple[int, ...] | None, dtype: str | N
         raise UsageError(f"{name} must be {wanted}, but has shape {value.shape}")
     if dtype not in (None, value.dtype.name):
         raise UsageError(f"{name} must be {dtype}, but is {value.dtype}")
+    _expect_finite(name, value, "at a fresh start")
+
+
+def _expect_finite(name: str, value: jax.Array, moment: str) -> None:
     for index, number in np.ndenumerate(value):
         if not np.isfinite(number):
-            raise UsageError(f"{name}{list(index) or ''} is {number} at a fresh start; it must be finite")
+            raise UsageError(f"{name}{list(index) or ''} is {number} {moment}; it must be finite")
 
 
 def _kind(value: Any) -> str:

@@ -12,12 +12,13 @@ from ear_jax.figures.style import STYLE, legend_below, look, save_figure
 from ear_jax.files.replacing import folder
 
 
-def draw_adapt(figures: Path, document: dict[str, Any]) -> list[Path]:
+def draw_adapt(figures: Path, document: dict[str, Any], label: str = "") -> list[Path]:
     """Draws one figure per seed and returns the paths; draws none if there was no search.
 
     Args:
       figures: the folder to write into.
       document: the document of `ear adapt`.
+      label: a part of the names of the files.
     """
     searched = [task for task in document["tasks"] if task["epochs"]]
     folder(figures)
@@ -29,7 +30,7 @@ def draw_adapt(figures: Path, document: dict[str, Any]) -> list[Path]:
                 _draw_task(axes, index, task)
             axes.set(xlabel="epochs of search (0: LTE from a map)", ylabel="return of an episode")
             legend_below(axes, 2)
-            paths.append(save_figure(figure, figures / f"adaptation_seed{seed}.png"))
+            paths.append(save_figure(figure, figures / f"adaptation{label}_seed{seed}.png"))
     return paths
 
 

@@ -15,17 +15,18 @@ from ear_jax.files.replacing import folder
 UNITS = {"height": "m", "squared_action": "1", "velocity_x": "m/s", "velocity_y": "m/s"}
 
 
-def draw_compose(figures: Path, document: dict[str, Any]) -> list[Path]:
+def draw_compose(figures: Path, document: dict[str, Any], label: str = "") -> list[Path]:
     """Draws one figure per seed and returns the paths.
 
     Args:
       figures: the folder to write into.
       document: the document of `ear compose`.
+      label: a part of the names of the files.
     """
     folder(figures)
-    between = "_to_".join(document["between"])
+    label = label or "_" + "_to_".join(document["between"])
     return [
-        _draw_seed(figures / f"compose_{between}_seed{entry['seed']}.png", entry["blends"], document)
+        _draw_seed(figures / f"compose{label}_seed{entry['seed']}.png", entry["blends"], document)
         for entry in document["seeds"]
     ]
 

@@ -13,12 +13,15 @@ from ear_jax.figures.style import COLOURS, STYLE, save_figure
 from ear_jax.files.replacing import folder
 
 
-def draw_evaluate(figures: Path, evaluation: dict[str, Any], rows: list[dict[str, Any]]) -> list[Path]:
+def draw_evaluate(
+    figures: Path, evaluation: dict[str, Any], label: str = "", *, rows: list[dict[str, Any]]
+) -> list[Path]:
     """Draws the figures that there are data for, and returns the paths.
 
     Args:
       figures: the folder to write into.
       evaluation: the document of `ear evaluate`.
+      label: a part of the names of files about the evaluation.
       rows: the run's metrics, for the learning curve.
     """
     folder(figures)
@@ -26,7 +29,7 @@ def draw_evaluate(figures: Path, evaluation: dict[str, Any], rows: list[dict[str
     if rows:
         drawn.append(_draw(figures / "learning_curve.png", (4.5, 3.0), lambda axes: learning_curve(axes, rows)))
     if any(task["target"] is not None for task in evaluation["seeds"][0]["tasks"]):
-        points = figures / "commanded_achieved.png"
+        points = figures / f"commanded_achieved{label}.png"
         drawn.append(_draw(points, (3.6, 3.4), lambda axes: commanded_against_achieved(axes, evaluation)))
     return drawn
 

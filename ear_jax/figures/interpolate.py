@@ -13,12 +13,13 @@ from ear_jax.figures.style import COLOURS, STYLE, legend_below, look, save_figur
 from ear_jax.files.replacing import folder
 
 
-def draw_interpolate(figures: Path, document: dict[str, Any]) -> list[Path]:
+def draw_interpolate(figures: Path, document: dict[str, Any], label: str = "") -> list[Path]:
     """Draws one figure per seed and returns the paths.
 
     Args:
       figures: the folder to write into.
       document: the document of `ear interpolate`, with `pairs` or, for given β, with `blends`.
+      label: a part of the names of the files.
     """
     folder(figures)
     kind, draw = ("pairs", _draw_pairs) if "pairs" in document else ("blends", _draw_betas)
@@ -30,7 +31,7 @@ def draw_interpolate(figures: Path, document: dict[str, Any]) -> list[Path]:
             figure, axes = plt.subplots(figsize=(width, 3.2), layout="constrained")
             draw(axes, rows, document)
             axes.set(ylabel=f"{document['commanded']['outcome']} ({document['commanded']['unit']})")
-            paths.append(save_figure(figure, figures / f"interpolation_seed{seed}.png"))
+            paths.append(save_figure(figure, figures / f"interpolation{label}_seed{seed}.png"))
     return paths
 
 

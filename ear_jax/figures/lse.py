@@ -15,15 +15,16 @@ from ear_jax.files.replacing import folder
 NAMES = {"state": "raw state", "lse": "LSE"}
 
 
-def draw_lse(figures: Path, document: dict[str, Any]) -> list[Path]:
+def draw_lse(figures: Path, document: dict[str, Any], label: str = "") -> list[Path]:
     """Draws one figure per seed, principal components and autocorrelations, and returns the paths.
 
     Args:
       figures: the folder to write into.
       document: the document of `ear lse`.
+      label: a part of the names of the files.
     """
     folder(figures)
-    return [_draw_seed(figures / f"lse_seed{entry['seed']}.png", entry, document) for entry in document["seeds"]]
+    return [_draw_seed(figures / f"lse{label}_seed{entry['seed']}.png", entry, document) for entry in document["seeds"]]
 
 
 def _draw_seed(path: Path, entry: dict[str, Any], document: dict[str, Any]) -> Path:

@@ -17,20 +17,21 @@ VIEWS = ((20.0, 30.0), (-20.0, 210.0))  # elevation and azimuth of two opposite 
 BEHIND = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}  # box behind a label
 
 
-def draw_map(figures: Path, document: dict[str, Any]) -> list[Path]:
+def draw_map(figures: Path, document: dict[str, Any], label: str = "") -> list[Path]:
     """Draws for every seed both sides of the sphere and a flat map of it, and returns the paths.
 
     Args:
       figures: the folder to write into.
       document: the document of `ear map`.
+      label: a part of the names of the files.
     """
     folder(figures)
     return [
         path
         for entry in document["seeds"]
         for path in (
-            _draw_sphere(figures / f"sphere_seed{entry['seed']}.png", entry, document["commanded"]),
-            _draw_flat(figures / f"map_seed{entry['seed']}.png", entry, document["commanded"]),
+            _draw_sphere(figures / f"sphere{label}_seed{entry['seed']}.png", entry, document["commanded"]),
+            _draw_flat(figures / f"map{label}_seed{entry['seed']}.png", entry, document["commanded"]),
         )
     ]
 

@@ -18,7 +18,7 @@ from matplotlib.patches import Polygon
 from ear_jax.figures.style import STYLE, save_figure
 
 FLAG, GROUND = "#D5000F", "#CED2CE"
-LEFT, RIGHT, BELOW = 1.1, 0.15, 0.45  # inches around the panels
+LEFT, RIGHT, BELOW, ABOVE = 1.1, 0.15, 0.45, 0.5  # inches around the panels
 WIDEST, TALLEST = 5.8, 5.0  # largest size of a panel, inches
 DPI = 200
 
@@ -51,12 +51,13 @@ class Bounds:
     low: float
     high: float
     ground: float  # upper edge of the ground
+    tallest: float = TALLEST  # largest height of the panel, inches
 
     @property
     def inches(self) -> tuple[float, float]:
         """The size of a panel in inches, to scale."""
         wide, tall = self.right - self.left, self.high - self.low
-        scale = min(WIDEST / wide, TALLEST / tall)
+        scale = min(WIDEST / wide, self.tallest / tall)
         return wide * scale, tall * scale
 
     @property
@@ -66,29 +67,35 @@ class Bounds:
         return round(width * DPI), round(height * DPI)
 
 
-def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str) -> Path:
-    """Draws panels one below another: their pictures, or stick figures for panels without one.
+def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str, beside: bool = False) -> Path:
+    """Draws panels one below another or side by side: their pictures, or stick figures for panels without one.
 
     Args:
       path: the file to write.
-      panels: the panels; the labels of their tracks are at the left, in the tracks' colours if there are several.
+      panels: the panels; the labels of their tracks are at the left, or above panels that stand side by side, in the
+        tracks' colours if a panel has several.
       bounds: the part of the plane that each panel shows.
       caption: the text below the axis.
+      beside: put the panels side by side.
     """
-    (width, height), gap = bounds.inches, 0.06
-    wide, tall = LEFT + width + RIGHT, BELOW + len(panels) * (height + gap)
+    (width, height), gap, count = bounds.inches, 0.06, len(panels)
+    wide, tall = LEFT + width + RIGHT, BELOW + count * (height + gap)
+    if beside:
+        wide, tall = 2 * RIGHT + count * (width + gap), BELOW + height + ABOVE
     with plt.rc_context({**STYLE, "axes.grid": False, "savefig.bbox": None}):
         figure = plt.figure(figsize=(wide, tall))
         for row, panel in enumerate(panels):
-            bottom = tall - (row + 1) * (height + gap)
-            axes = figure.add_axes((LEFT / wide, bottom / tall, width / wide, height / tall))
-            _draw_panel(axes, panel, bounds)
-            axes.tick_params(bottom=row == len(panels) - 1, labelbottom=row == len(panels) - 1)
-        axes.set_xlabel(caption)
+            left, bottom = (RIGHT + row * (width + gap), BELOW) if beside else (LEFT, tall - (row + 1) * (height + gap))
+            axes = figure.add_axes((left / wide, bottom / tall, width / wide, height / tall))
+            _draw_panel(axes, panel, bounds, beside)
+            shown = beside or row == count - 1
+            axes.tick_params(bottom=shown, labelbottom=shown)
+        middle = wide / 2 if beside else LEFT + width / 2
+        figure.text(middle / wide, 0.05 / tall, caption, ha="center", va="bottom")
         return save_figure(figure, path, dpi=DPI)
 
 
-def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:
+def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds, beside: bool) -> None:
     inch = (bounds.right - bounds.left) / bounds.inches[0]  # metres in an inch
     axes.set(xlim=(bounds.left, bounds.right), ylim=(bounds.low, bounds.high), yticks=[])
     axes.spines[:].set_visible(False)
@@ -102,8 +109,9 @@ def _draw_panel(axes: Axes, panel: Panel, bounds: Bounds) -> None:
         if track.flag:
             _draw_flag(axes, *track.flag, inch)
         colour = "black" if len(panel.tracks) == 1 else track.colours[-1]
-        position = (-0.02, 1 - (row + 0.5) / len(panel.tracks))
-        axes.text(*position, track.label, transform=axes.transAxes, color=colour, ha="right", va="center")
+        position = (0.5, 1.0) if beside else (-0.02, 1 - (row + 0.5) / len(panel.tracks))
+        across, along = ("center", "bottom") if beside else ("right", "center")
+        axes.text(*position, track.label, transform=axes.transAxes, color=colour, ha=across, va=along)
 
 
 def _draw_sticks(axes: Axes, track: Track, points: float) -> None:

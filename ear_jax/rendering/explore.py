@@ -15,6 +15,7 @@ from ear_jax.embeddings.trajectory import Trajectory, follow
 from ear_jax.figures.explore import Loop
 from ear_jax.rendering.film import FILM_ELEVATION, FRAME_SECONDS
 from ear_jax.rendering.scene import limbs, locomotion_of, project
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, policy_of
 
 SHORTEST, LONGEST = 1.0, 1.6  # length of a segment in seconds, if the roll-out is long enough
@@ -35,6 +36,7 @@ def play_sphere(trained: Trained, policy: int, places: int, steps: int, seed: in
     """
     check_sphere(trained, 3)
     program, family = trained.program, trained.program.family
+    check_rollouts(program, places, steps + 1, family.model.nq)
     params, codes = policy_of(trained, policy), spread_codes(places, 3)
     trajectories = follow(program, params, jnp.asarray(codes), steps, jax.random.key(seed))
     model, every = family.portrait(), max(1, round(FRAME_SECONDS / family.dt))

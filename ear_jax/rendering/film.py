@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 
 from ear_jax.embeddings.trajectory import Trajectory
-from ear_jax.figures.strip import GROUND, Bounds, Panel, Track
+from ear_jax.figures.strip import GROUND, TALLEST, Bounds, Panel, Track
 from ear_jax.figures.style import COLOURS
 from ear_jax.figures.video import caption
 from ear_jax.rendering.scene import (
@@ -96,14 +96,21 @@ class Strip:
 
     @property
     def together(self) -> bool:
-        """True if one panel shows all tracks, as roaming robots part in it and fixed ones hardly move."""
-        return locomotion_of(self.model) != "runs"
+        """True if one panel shows all tracks, as roaming robots part in it."""
+        return locomotion_of(self.model) == "roams"
+
+    @property
+    def beside(self) -> bool:
+        """True if panels stand side by side, as robots that stay where they are need no width."""
+        return locomotion_of(self.model) == "fixed"
 
     @property
     def caption(self) -> str:
         """The label of the axis, with the time between poses."""
         if locomotion_of(self.model) == "fixed":
             return "across (m), last pose of each"
+        if all(len(poses) == 1 for poses in self.poses):
+            return "x (m), last pose of each"
         return f"x (m), a pose every {self.seconds:.4g} s"
 
     @property
@@ -125,16 +132,14 @@ def arrange(model: mujoco.MjModel, trajectories: Sequence[Trajectory], labels: S
     elevation = STRIP_ELEVATION[locomotion]
     robots = [limbs(model, trajectory.qpos) for trajectory in trajectories]
     bounds = _bounds(robots, elevation, locomotion)
-    length, steps = max(robot.length for robot in robots), max(len(robot.ends) - 1 for robot in robots)
-    paces = [np.linalg.norm((robot.centres[-1] - robot.centres[0])[:2]) / len(robot.ends) for robot in robots]
-    pace = np.median(paces)  # metres per environment step
-    every = int(np.clip(math.ceil(SPACING * length / max(pace, 1e-9)), 1, max(steps // 3, 1)))
+    length = max(robot.length for robot in robots)
+    every, goes = _steps_between(robots, length), _ways(robots) > length
 
     def track(row: int, robot: Limbs) -> tuple[Track, np.ndarray]:
         shown = project(robot.ends, elevation)
         inside = (shown[..., 0].min((1, 2)) > bounds.left) & (shown[..., 0].max((1, 2)) < bounds.right)
         moments = np.arange(len(inside))[::-every][::-1]
-        moments = moments[-1:] if locomotion == "fixed" else moments[inside[moments]]
+        moments = moments[inside[moments]] if goes[row] and locomotion != "fixed" else moments[-1:]
         x, foot = project(robot.centres[-1] * (1, 1, 0), elevation)
         pole = POLE * length if locomotion == "roams" else 0.95 * bounds.high
         flag = None if locomotion == "fixed" else (float(x), float(foot), pole)
@@ -145,13 +150,30 @@ def arrange(model: mujoco.MjModel, trajectories: Sequence[Trajectory], labels: S
     return Strip(model, tracks, poses, bounds, every * dt)
 
 
+def _ways(robots: Sequence[Limbs]) -> np.ndarray:
+    """Returns the distance from start to end of each robot, [robots] metres."""
+    return np.array([np.linalg.norm((robot.centres[-1] - robot.centres[0])[:2]) for robot in robots])
+
+
+def _steps_between(robots: Sequence[Limbs], length: float) -> int:
+    """Returns the environment steps from one pose to the next, so that no pose of a track covers the one before it.
+
+    The median of the robots that go anywhere decides, unless a slower one would cover its own poses.
+    """
+    ways, counts = _ways(robots), np.array([len(robot.ends) for robot in robots])
+    paces = (ways / counts)[ways > length]  # metres per environment step
+    if not len(paces):
+        return int(counts.max())
+    return math.ceil(max(SPACING * length / float(np.median(paces)), length / float(paces.min())))
+
+
 def photograph(strip: Strip) -> list[Panel]:
     """Renders the pictures of a strip's panels; raises RunError if there is no OpenGL that renders off screen."""
     bounds, together = strip.bounds, strip.together
     camera = camera_without_perspective(bounds, STRIP_ELEVATION[locomotion_of(strip.model)])
     # Colours distinguish robots that share a picture; a robot alone in its picture keeps its own colour and only fades.
     colours = [track.colours if together else _fading(GROUND, len(track.colours)) for track in strip.tracks]
-    share = [np.full(len(rows), 0.85) if together else np.linspace(PALE, 0, len(rows)) for rows in colours]
+    share = [np.full(len(rows), 0.85) if together else np.linspace(0, PALE, len(rows))[::-1] for rows in colours]
     tints = [np.column_stack([rows, weight]) for rows, weight in zip(colours, share, strict=True)]
     poses = list(strip.poses)
     if together:
@@ -179,7 +201,8 @@ def _bounds(robots: Sequence[Limbs], elevation: float, locomotion: Locomotion) -
             right = min(right, left + room)
     left, right, low, high = left - MARGIN * size, right + MARGIN * size, low - MARGIN * size, high + MARGIN * size
     missing = max(0.0, (MIN_ASPECT if locomotion == "runs" else 1.0) * (high - low) - (right - left))
-    return Bounds(left - missing / 2, right + missing / 2, low, high, 0.0 if locomotion == "runs" else high)
+    ground, tallest = (0.0, TALLEST) if locomotion == "runs" else (high, TALLEST / (1 + (locomotion == "fixed")))
+    return Bounds(left - missing / 2, right + missing / 2, low, high, ground, tallest)
 
 
 def _fading(colour: str, count: int) -> np.ndarray:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 # Settings that may change when a run is continued, as they do not affect what an epoch computes.
 MAY_CHANGE = ("epochs", "minutes", "engine", "checkpoint.blocks", "checkpoint.replay", "log.tensorboard", "log.wandb")
 FOLDER = "checkpoints"
+LONGEST_PATH = 3500  # bytes; Linux allows 4096, and a checkpoint's files have long names
 # Files that a process leaves if it is killed before it wrote config.json.
 UNSTARTED = r"lock|config\.json\.part|\.config\.json\.[0-9a-f]+\.part"
 
@@ -35,6 +36,7 @@ def check_place(directory: Path) -> None:
       UsageError: it is a file, or holds something else.
       RunError: it is not writable.
     """
+    check_path(directory)
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
     if not existing.is_dir():
         raise UsageError(f"--out {directory} needs a directory, but {existing} is a file")
@@ -61,6 +63,17 @@ def steps(directory: Path) -> list[int]:
         return []
     named = (path for path in directory.iterdir() if re.fullmatch(r"0|[1-9][0-9]*", path.name))
     return sorted(int(path.name) for path in named if path.is_dir() and not path.is_symlink())
+
+
+def check_path(path: Path) -> None:
+    """Raises UsageError for a path that checkpoints cannot have: one that is not UTF-8, or too long for their names."""
+    whole = os.fsencode(path.absolute())
+    try:
+        whole.decode()
+    except UnicodeDecodeError:
+        raise UsageError(f"{str(path.absolute())!a} is not UTF-8, as paths of runs must be; name another") from None
+    if len(whole) > LONGEST_PATH:
+        raise UsageError(f"{path} has {len(whole)} bytes, too many for the files of a run; name a shorter path")
 
 
 def check_settings(holder: Path, document: dict[str, Any], config: Config) -> None:

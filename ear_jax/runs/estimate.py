@@ -19,6 +19,7 @@ from ear_jax.process import runtime
 from ear_jax.process.memory import Room, available
 from ear_jax.process.terminal import phase
 from ear_jax.runs import training
+from ear_jax.runs.rollouts import epoch_bytes
 from ear_jax.runs.seeds import devices_for
 from ear_jax.runs.training import Program
 
@@ -36,6 +37,7 @@ class Memory:
     replay: int
     learner: int  # networks, targets and optimisers
     state: int  # both, the environments and counters
+    epoch: int  # roll-outs and random numbers of an epoch
     compiling: int
     saving: int
     room: Room | None  # under the limit that is nearest; None if none is known
@@ -43,7 +45,7 @@ class Memory:
     @property
     def total(self) -> int:
         """All of it: what compiling took is not given back before the first save."""
-        return self.state + self.compiling + self.saving
+        return self.state + self.epoch + self.compiling + self.saving
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,9 @@ def memory(program: Program) -> Memory:
     state = jax.eval_shape(lambda: jax.vmap(partial(training.init, program))(training.seed_keys(program.config)))
     replay, learner, whole = (runtime.tree_bytes(part) for part in (state.replay, state.learner, state))
     rooms = available(devices_for(program.config.seeds))
-    needed = [Memory(replay, learner, whole, *_beside(whole, room), room) for room in rooms]
-    return min(needed, key=_spare, default=Memory(replay, learner, whole, *_beside(whole, None), None))
+    sizes = (replay, learner, whole, epoch_bytes(program))
+    needed = [Memory(*sizes, *_beside(whole, room), room) for room in rooms]
+    return min(needed, key=_spare, default=Memory(*sizes, *_beside(whole, None), None))
 
 
 def _beside(state: int, room: Room | None) -> tuple[int, int]:
@@ -79,10 +82,12 @@ def check_memory(program: Program) -> None:
     """Raises RunError, with the sizes and the limit, if a run does not fit in memory."""
     needed = memory(program)
     if needed.room is not None and _spare(needed) < 0:
+        of_epoch = "--collect.envs, --collect.steps, --log.episodes, --sac.updates, --sac.batch-size"
+        lower = of_epoch if needed.epoch > needed.replay else "--replay.capacity"
         raise RunError(
             f"this run needs {gigabytes(needed.total)} of memory ({describe(needed)}), but only "
             f"{gigabytes(max(0, needed.room.bytes))} is free under {needed.room.limit}; "
-            "lower --replay.capacity or --seeds, or raise the limit"
+            f"lower {lower} or --seeds, or raise the limit"
         )
 
 
@@ -90,6 +95,7 @@ def describe(needed: Memory) -> str:
     """Returns the parts of a run's memory in words."""
     return (
         f"replay {gigabytes(needed.replay)}, networks and optimisers {gigabytes(needed.learner)}, "
+        f"an epoch {gigabytes(needed.epoch)}, "
         f"compiling {gigabytes(needed.compiling)}, saving {gigabytes(needed.saving)}"
     )
 

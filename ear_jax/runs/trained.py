@@ -22,7 +22,7 @@ from ear_jax.process.runtime import compiler_options
 from ear_jax.process.terminal import say
 from ear_jax.runs import checkpoint, training
 from ear_jax.runs.checkpoint import Step
-from ear_jax.runs.directory import check_tasks
+from ear_jax.runs.directory import check_path, check_tasks
 from ear_jax.runs.export import read_about, read_policy, write_policy
 from ear_jax.runs.history import read_step
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
@@ -122,6 +122,7 @@ def load(path: Path, family: str | None = None, engine: str | None = None) -> Tr
         name = str(path).removeprefix(pretrained.PREFIX)
         trained = _from_file(pretrained.find(name), family, engine)
         return replace(trained, name=str(path), directory=pretrained.results(name))
+    check_path(path)
     return (_from_file if path.is_file() else _from_run)(path, family, engine)
 
 

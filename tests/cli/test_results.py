@@ -3,26 +3,86 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 
 from ear_jax.cli.evaluate import falls
-from ear_jax.cli.results import keep, print_result
+from ear_jax.cli.results import keep, label_of, show_and_keep
+from ear_jax.errors import RunError
 
 
 @pytest.mark.parametrize("names", [[], ["a.png", "b.png"]])
 def test_a_document_is_kept_with_its_provenance_and_printed_without(tmp_path, names, capsys):
     document = {"answer": 42}
-    pictures = keep(tmp_path, "document.json", document, lambda figures, _: [figures / name for name in names])
-    assert pictures == [tmp_path / "figures" / name for name in names]
-    kept = json.loads((tmp_path / "document.json").read_text())
-    assert kept["answer"] == 42
-    assert {"machine", "versions", "commit"} < set(kept)
-    print_result(document, pictures, True, print)
+
+    def kept() -> list[Path]:
+        return keep(tmp_path, "document", "_x", document, lambda figures, _, label: [figures / name for name in names])
+
+    pictures = [tmp_path / "figures" / name for name in names]
+    show_and_keep(document, True, print, kept)
     assert json.loads(capsys.readouterr().out) == {"answer": 42, "figures": [str(path) for path in pictures]}
-    print_result(document, pictures, False, lambda document: print(document["answer"]))
+    found = json.loads((tmp_path / "document_x.json").read_text())
+    assert found["answer"] == 42
+    assert {"machine", "versions", "commit"} < set(found)
+    show_and_keep(document, False, lambda document: print(document["answer"]), kept)
     listed = ["pictures: " + ", ".join(map(str, pictures))] if names else []
     assert capsys.readouterr().out.splitlines() == ["42", *listed]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [RunError("cannot write /run: Permission denied"), PermissionError(13, "Permission denied"), OSError(28, "x")],
+)
+@pytest.mark.parametrize("as_json", [False, True])
+def test_results_that_cannot_be_kept_are_shown_with_a_warning(fault, as_json, capsys):
+    def refuse() -> list[Path]:
+        assert as_json or capsys.readouterr().out == "42\n", "shown first"
+        raise fault
+
+    show_and_keep({"answer": 42}, as_json, lambda document: print(document["answer"]), refuse)
+    streams = capsys.readouterr()
+    assert streams.err.startswith("warning: these results are not kept: ")
+    assert streams.out == ('{"answer": 42, "figures": []}\n' if as_json else "")
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command's options, as `label_of` reads them."""
+
+    run: str
+    seed: int = 0
+    between: tuple[str, str] | None = None
+    beta: tuple[float, ...] = ()
+    all_pairs: bool = False
+    target: float | None = None
+    json: bool = False
+
+
+def test_outputs_of_other_options_have_other_names():
+    """Every option but those that change nothing is in the name, and equal options give equal names."""
+    others = [
+        Command("b"),
+        Command("b", seed=5),
+        Command("b", between=("2", "3")),
+        Command("b", between=("3", "2")),
+        Command("b", between=("2", "3"), target=2.5),
+        Command("b", between=("2", "3"), target=2.50001),
+        Command("b", all_pairs=True),
+        Command("b", beta=(0.5,)),
+        *(Command("b", beta=(*range(100), last)) for last in (100, 101)),
+        *(Command("b", between=(name, "x")) for name in ("a/b", "../b")),
+    ]
+    labels = [label_of(command) for command in others]
+    assert labels[:5] == ["", "_random-5", "_between-2-3", "_between-3-2", "_between-2-3_target-2.5"]
+    assert len(set(labels)) == len(others)
+    assert all(len(label) < 120 and "/" not in label for label in labels)
+    assert labels == [label_of(replace(command, run="c", json=True)) for command in others]
+
+
+def test_what_a_name_tells_already_is_not_repeated():
+    assert label_of(Command("b", between=("2", "3"), seed=1), without=("between",)) == "_random-1"
 
 
 @pytest.mark.parametrize(

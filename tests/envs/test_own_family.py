@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import random
 import re
 import sys
 from importlib.metadata import EntryPoint
@@ -11,16 +13,18 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 
 from ear_jax.cli.main import main
 from ear_jax.envs import FAMILIES, Family, find_family, make_family
 from ear_jax.errors import UsageError
+from ear_jax.physics import Physics
 from ear_jax.runs import loop, records
 from ear_jax.runs.loop import train_run
 from ear_jax.tasks import Task, TaskSet, task_set
-from tests.helpers.probe import Bandit
+from tests.helpers.probe import SLIDER, Bandit
 from tests.helpers.runs import tiny_config
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "your-own-family.md"
@@ -178,6 +182,19 @@ def start_of(**fields: object):
     return lambda self, key: Bandit.initial(self, key).replace(**fields)
 
 
+CLOCK = itertools.count()
+WITHOUT_NOISE = "gives something else when it is called again, but JAX calls it only once"
+
+
+def at_the_start(physics: Physics) -> jax.Array:
+    """Returns whether a state is a start of the bandit: its mass does not move yet."""
+    return physics.qvel[0] == 0
+
+
+def slider(mass: float) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(SLIDER.replace('mass="1"', f'mass="{mass}"'))
+
+
 def never(*_):
     raise ValueError("never\nagain")
 
@@ -254,6 +271,47 @@ BROKEN = [
         r"reward\(\) of task '-0\.5' must be a scalar, but has shape",
     ),
     ({"reward": lambda self, outcome, task: jnp.sqrt(-task["action"])}, r"reward\(\) of task '0\.5' is nan at a fresh"),
+    # Impure: NumPy's random numbers, Python's, a counter, a model and tasks drawn anew.
+    (
+        {"initial": lambda self, key: Bandit.initial(self, key).replace(qpos=jnp.array(np.random.rand(1), "float32"))},
+        rf"initial\(\) {WITHOUT_NOISE}.*jax\.random from the key",
+    ),
+    ({"observe": lambda self, physics: physics.qpos + random.random()}, rf"observe\(\) {WITHOUT_NOISE}"),
+    ({"reward": lambda self, outcome, task: jnp.float32(next(CLOCK))}, rf"reward\(\) {WITHOUT_NOISE}"),
+    (
+        {"outcome": lambda self, motion: {"action": motion.action[0] * np.random.rand()}},
+        rf"outcome\(\) {WITHOUT_NOISE}",
+    ),
+    (
+        {"training_tasks": lambda self: task_set([self.parse_task(str(random.random()))])},
+        r"training_tasks\(\) gives other tasks when it is called again",
+    ),
+    (
+        {"adaptation_tasks": lambda self, seed: task_set([self.parse_task(str(next(CLOCK)))])},
+        r"adaptation_tasks\(\) gives other tasks when it is called again",
+    ),
+    ({"load": lambda self: slider(1 + next(CLOCK))}, r"load\(\) gives another model when .*: body_\w+ differs"),
+    # Not finite, but at the start.
+    (
+        {
+            "reward": lambda self, outcome, task: jnp.where(outcome["speed"] == 0, 0.0, jnp.nan),
+            "outcome": lambda self, motion: {"action": motion.action[0], "speed": motion.after.qvel[0]},
+        },
+        r"reward\(\) of task '-0\.5' is nan after 1 step of random actions; it must be finite",
+    ),
+    (
+        {"outcome": lambda self, motion: {"action": jnp.where(at_the_start(motion.after), 0.0, jnp.inf)}},
+        r"outcome\(\)\['action'\] is inf after 1 step of random actions",
+    ),
+    (
+        {
+            "observe": lambda self, physics: jnp.log(1.3 - jnp.abs(physics.qpos)),
+            "initial": start_of(qpos=jnp.zeros(1)),
+            "actuate": lambda self, physics, action: (physics.replace(qpos=physics.qpos + 0.5), action),
+            "terminated": lambda self, physics: False,
+        },
+        r"observe\(\)\[0\] is nan after 3 steps of random actions",
+    ),
     ({"achieved": lambda self, late, whole: late}, r"achieved\(\) must be a scalar, but is a value of type dict"),
 ]
 
@@ -294,6 +352,37 @@ def test_a_word_that_becomes_no_task(parse_task, complaint, monkeypatch, run_dir
     with pytest.raises(UsageError, match=complaint):
         train_run(tiny_config(family="bandit", tasks=("left",)), run_directory)
     assert not run_directory.exists()
+
+
+@pytest.mark.parametrize(
+    ("actuator", "line"),
+    [
+        (
+            '<motor name="push" joint="slide" ctrlrange="-0.4 0.4" ctrllimited="true"/>',
+            "'push' takes controls from -0.4 to 0.4",
+        ),
+        (2 * '<motor joint="slide" ctrlrange="0 3" ctrllimited="true"/>', "0 and 1 more takes controls from 0 to 3"),
+        ('<motor joint="slide"/>', None),
+        ('<motor joint="slide" ctrlrange="-1 1" ctrllimited="true"/>', None),
+    ],
+)
+def test_controls_of_other_ranges_than_actions_get_one_line(actuator, line, monkeypatch, capfd):
+    text = re.sub(r"<motor[^>]*/>", actuator, SLIDER)
+    parts = {"load": lambda self: mujoco.MjModel.from_xml_string(text)}
+    monkeypatch.setitem(FAMILIES, "ranged", type("Ranged", (Bandit,), {"__module__": __name__, **parts}))
+    for _ in range(2):
+        make_family("ranged", "native")
+    said = capfd.readouterr().err
+    assert said.count("warning: ") == (line is not None)
+    assert (line or "") in said
+
+
+def test_a_family_that_scales_its_actions_gets_no_line(monkeypatch, capfd):
+    text = SLIDER.replace('ctrlrange="-1 1"', 'ctrlrange="-7 7"')
+    parts = {"load": lambda self: mujoco.MjModel.from_xml_string(text), "actuate": lambda self, p, a: (p, 7 * a)}
+    monkeypatch.setitem(FAMILIES, "scaled", type("Scaled", (Bandit,), {"__module__": __name__, **parts}))
+    make_family("scaled", "native")
+    assert capfd.readouterr().err == ""
 
 
 def test_constants_are_accepted(monkeypatch):

@@ -58,9 +58,10 @@ def test_betas_asked_for_are_a_line_a_pair_in_their_order(tmp_path, drawn):
 def test_a_run_without_commands_has_no_figure_of_them(tmp_path):
     task = {"target": None, "episodes": {"velocity": [1.0]}}
     evaluation = {"commanded": QUANTITY, "seeds": [{"seed": 0, "tasks": [task]}]}
-    assert evaluate.draw_evaluate(tmp_path, evaluation, []) == []
+    assert evaluate.draw_evaluate(tmp_path, evaluation, rows=[]) == []
     evaluation["seeds"][0]["tasks"].append({**task, "target": 1.0})
-    assert [picture.name for picture in evaluate.draw_evaluate(tmp_path, evaluation, [])] == ["commanded_achieved.png"]
+    drawn = evaluate.draw_evaluate(tmp_path, evaluation, "_x", rows=[])
+    assert [picture.name for picture in drawn] == ["commanded_achieved_x.png"]
 
 
 def test_a_search_shows_both_judgements_and_the_answer_of_the_map(tmp_path, drawn):

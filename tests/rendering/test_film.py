@@ -140,7 +140,20 @@ def test_of_a_long_way_a_strip_shows_the_part_with_the_flags(cheetah, way):
 
 
 def test_a_robot_that_stands_still_is_a_strip_too(cheetah):
-    assert [len(poses) for poses in strip(cheetah, 0.0).poses] == [4]
+    found = strip(cheetah, 0.0)
+    assert [len(poses) for poses in found.poses] == [1]
+    assert found.caption == "x (m), last pose of each"
+
+
+@pytest.mark.parametrize("steps", [20, 60, 100, 400])
+@pytest.mark.parametrize("speeds", [(0.02,), (0.3, 0.6), (1.0,), (1, 2, 3), (0, 0, 2), (0.2, 8)])
+def test_no_pose_of_a_strip_covers_the_one_before_it(cheetah, speeds, steps):
+    ways = [running(cheetah, speed, steps) for speed in speeds]
+    found = arrange(cheetah, ways, [str(speed) for speed in speeds], 0.05)
+    length = limbs(cheetah, ways[0].qpos[:1]).length
+    for poses in found.poses:
+        assert len(poses) >= 1
+        assert (np.diff(poses[:, 0]) > 0.95 * length).all()
 
 
 def test_robots_that_roam_share_a_panel():
@@ -156,7 +169,7 @@ def test_robots_that_roam_share_a_panel():
     np.testing.assert_allclose(east - north, [5, -5 * np.sin(np.radians(50))], atol=1e-6)
 
 
-def test_robots_that_stand_share_a_panel_where_each_ended():
+def test_robots_that_stand_stand_side_by_side_where_each_ended(tmp_path):
     """The arm as it is drawn: its gripper 0.1 m to its right, then to its left."""
     arm = make_family("reach", "native").portrait()
     poses = np.array(
@@ -164,13 +177,16 @@ def test_robots_that_stand_share_a_panel_where_each_ended():
     )
     ways = [Trajectory(np.stack([poses[1 - row], poses[row]]), False, {}, 0.0) for row in (0, 1)]
     found = arrange(arm, ways, ["goal-0", "goal-180"], 0.0125)
-    (panel,) = found.panels
-    assert [track.flag for track in panel.tracks] == [None, None]
+    tracks = [panel.tracks[0] for panel in found.panels]
+    assert [track.flag for track in tracks] == [None, None]
     for shown, pose in zip(found.poses, poses, strict=True):
         np.testing.assert_array_equal(shown, [pose])
-    right, left = (track.limbs[0].mean(axis=1) for track in panel.tracks)  # of the robot, which faces the camera
+    right, left = (track.limbs[0].mean(axis=1) for track in tracks)  # of the robot, which faces the camera
     assert (left - right)[:, 0].max() == pytest.approx(0.2, abs=0.03), "fingers"
     assert found.caption == "across (m), last pose of each"
+    path = draw_strip(tmp_path / "arms.png", found.panels, found.bounds, found.caption, found.beside)
+    tall, wide, _ = np.asarray(Image.open(path).convert("RGB")).shape
+    assert wide > 1.3 * tall, "one beside the other"
 
 
 def test_a_strip_of_sticks_is_drawn_to_size(cheetah, tmp_path):
