@@ -64,10 +64,15 @@ def _print_code(document: dict[str, Any]) -> None:
 
 
 def keep_evaluation(run: Path, evaluation: dict[str, Any], label: str = "") -> list[Path]:
-    """Writes an evaluation into its run's directory and draws the run's figures; returns their paths."""
+    """Writes an evaluation into its run's directory and draws the run's figures; returns their paths.
+
+    `evaluation.json`, which cards and comparisons read, is always the latest.
+    """
     from ear_jax.figures.evaluate import draw_evaluate  # matplotlib takes a second to import
 
     rows = records.read_rows(run / "metrics.jsonl", say, records.METRICS)
+    if label:
+        keep(run, "evaluation", "", evaluation, lambda *_: [])
     return keep(run, "evaluation", label, evaluation, partial(draw_evaluate, rows=rows))
 
 

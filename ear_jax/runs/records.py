@@ -1,7 +1,7 @@
 """Run directories and their documents, the source of every table and figure. Imports no JAX.
 
 A run directory holds `config.json` (settings, tasks, machine, versions, commit), `metrics.jsonl` (a row per seed and
-block), the last document of each analysis (`evaluation.json`, `interpolation.json`, `adaptation.json`,
+block), the documents of analyses, named by their options (`evaluation.json`, `interpolation.json`, `adaptation.json`,
 `composition.json`, `map.json`, `lse.json`), `ltes.json` (named LTEs), `checkpoints/`, `figures/`, `videos/`, the `lock`
 of the process that trains it, and `failure.json` if a metric was not finite.
 """

@@ -12,6 +12,7 @@ import pytest
 
 from ear_jax.agents.networks import unit_vector
 from ear_jax.config import Config
+from ear_jax.embeddings import adapt as adaptation
 from ear_jax.embeddings import cem, ltes
 from ear_jax.embeddings.adapt import adapt
 from ear_jax.embeddings.codes import blend, fibonacci_sphere, slerp
@@ -202,6 +203,20 @@ def test_a_search_answers_what_the_map_does_not_reach(toy):
     assert far["zero_shot"] is None
     assert far["lte"][0] == pytest.approx(1, abs=0.02)
     assert near["zero_shot"]["lte"][0] == pytest.approx(0.3, abs=0.03)
+
+
+@pytest.mark.parametrize("target", [5.0, -99.0, 1.2])
+def test_a_search_can_refuse_what_the_map_does_not_reach(toy, target, monkeypatch):
+    monkeypatch.setattr(adaptation, "_search_all", lambda *_: pytest.fail("it was searched for"))
+    tasks = task_set([toy.program.family.parse_task(str(target))])
+    with pytest.raises(UsageError, match=rf"comes near {target:g} 1; they reach -1\.00 to 1\.00"):
+        adapt(toy, tasks, Search(), episodes=1, seed=0, within_reach=True)
+
+
+def test_a_target_at_the_edge_of_the_map_is_searched_for(toy):
+    tasks = task_set([toy.program.family.parse_task("1.05")])
+    (task,) = adapt(toy, tasks, Search(epochs=2), episodes=1, seed=0, within_reach=True)["tasks"]
+    assert task["lte"][0] > 0.9
 
 
 def test_a_map_of_directions_wraps():

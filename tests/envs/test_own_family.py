@@ -290,7 +290,10 @@ BROKEN = [
         {"adaptation_tasks": lambda self, seed: task_set([self.parse_task(str(next(CLOCK)))])},
         r"adaptation_tasks\(\) gives other tasks when it is called again",
     ),
-    ({"load": lambda self: slider(1 + next(CLOCK))}, r"load\(\) gives another model when .*: body_\w+ differs"),
+    (
+        {"load": lambda self: slider(1 + next(CLOCK))},
+        r"load\(\) gives another model when it is called again: \w+ differs",
+    ),
     # Not finite, but at the start.
     (
         {

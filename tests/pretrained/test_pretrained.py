@@ -115,7 +115,8 @@ def test_results_go_to_the_working_directory(tmp_path, monkeypatch, capsys):
     assert main(["export", str(AGENT), "mine.safetensors"]) == 0
     written = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
     results = "runs/pretrained-hopper-vel"
-    assert written == {f"{results}/evaluation.json", f"{results}/figures/commanded_achieved.png", "mine.safetensors"}
+    evaluated = {f"{results}/evaluation{label}.json" for label in ("", "_episodes-1")}
+    assert written == {*evaluated, f"{results}/figures/commanded_achieved_episodes-1.png", "mine.safetensors"}
     assert contents(pretrained.FOLDER) == before
 
 

@@ -285,7 +285,7 @@ def test_without_opengl_one_line_says_what_to_install_and_the_strip_still_comes(
     assert main(["render", str(run), "--lte", "1", "0", "-1", "--steps", "3"]) == 1
     complaint = capsys.readouterr().err.splitlines()[-1]
     assert complaint.startswith("ear: pictures of the robot need OpenGL; install libegl1")
-    assert (run / "figures" / "strip_LTE_1_0_-1.png").is_file()
+    assert (run / "figures" / "strip_LTE_1_0_-1_steps-3.png").is_file()
     assert not list((run / "videos").glob("LTE*"))
 
 

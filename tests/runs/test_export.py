@@ -58,8 +58,8 @@ def test_a_command_takes_it_for_a_run(exported, capsys):
     document = json.loads(capsys.readouterr().out)
     assert (document["run"], document["env_steps"], document["updates"]) == (str(exported), 520, 96)
     results = exported.parent / "policy-results"
-    assert {path.name for path in results.iterdir()} == {"evaluation.json", "figures"}
-    assert [path.name for path in (results / "figures").iterdir()] == ["commanded_achieved.png"]
+    assert {path.name for path in results.iterdir()} == {"evaluation.json", "evaluation_episodes-1.json", "figures"}
+    assert [path.name for path in (results / "figures").iterdir()] == ["commanded_achieved_episodes-1.png"]
 
 
 def test_one_seed_of_several_is_as_if_trained_alone(finished, tmp_path, capsys):
