@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from ear_jax.agents.networks import Params
 from ear_jax.embeddings.map import PLACES, LteMap, check_reach, code_for_target, reaches, survey
 from ear_jax.embeddings.search import Progress, Search, episodes_an_epoch, find_codes, reevaluate
+from ear_jax.envs import Family
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
@@ -55,9 +56,7 @@ def adapt(
     mapped = search is None or (program.agent.embed is not None and program.agent.on_sphere)
     targets = [(task, task.target) for task in tasks.tasks if task.target is not None and mapped]
     maps = survey(trained, places, 1, seed) if targets else []
-    for _, target in targets:
-        if search is None or (within_reach and not any(reaches(one, program.family, target) for one in maps)):
-            check_reach(maps, program.family, target)
+    _check_targets(maps, program.family, [target for _, target in targets], search, within_reach)
     from_map = zero_shot(trained, maps, targets, episodes, seed) if targets else {}
     searched = _search_all(trained, tasks, search, seed, episodes) if search else {}
     adapted = [
@@ -80,6 +79,15 @@ def adapt(
         "map_env_steps": steps_per_episode * (places if maps else 0),
         "seconds": round(time.perf_counter() - began, 2),
     }
+
+
+def _check_targets(
+    maps: Sequence[LteMap], family: Family, targets: Sequence[float], search: Search | None, within_reach: bool
+) -> None:
+    """Raises UsageError for a target out of reach: of any seed without a search, of all seeds if `within_reach`."""
+    for target in targets:
+        if search is None or (within_reach and not any(reaches(one, family, target) for one in maps)):
+            check_reach(list(maps), family, target)
 
 
 def _check_sizes(trained: Trained, tasks: int, search: Search | None, episodes: int) -> None:
