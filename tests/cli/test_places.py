@@ -35,7 +35,7 @@ TOO_MUCH = (
     "map {} --places 1000000000000",
     "map {} --episodes 10000000000",
     "explore {} --places 1000000000000",
-    "explore {} --steps 1000000000000000",
+    "explore {} --replay --steps 1000000000000000",
     "render {} --task 1 --steps 1000000000000",
     "train halfcheetah-vel --log.episodes 2000000000",
     "train halfcheetah-vel --log.episodes 100000000",
@@ -76,7 +76,7 @@ def test_a_path_too_long_for_the_files_of_a_run_is_refused(tmp_path):
         check_place(tmp_path.joinpath(*(["d" * 200] * 18)))
 
 
-@pytest.mark.parametrize("words", ["explore {}", "render {} --task 1", "adapt {} --target 2 --save trot"])
+@pytest.mark.parametrize("words", ["explore {} --replay", "render {} --task 1", "adapt {} --target 2 --save trot"])
 def test_a_command_whose_result_is_a_file_asks_for_the_place_first(words, finished, monkeypatch, capsys):
     monkeypatch.setattr(os, "access", lambda *_: False)  # as for a user who may not write there
     for work in ("ear_jax.rendering.explore.play_sphere", "ear_jax.embeddings.trajectory.follow"):

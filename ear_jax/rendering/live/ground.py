@@ -17,6 +17,7 @@ from ear_jax.embeddings.map import LteMap, estimate
 from ear_jax.figures.map import colours
 from ear_jax.learning.episodes import achieved
 from ear_jax.process.runtime import compiler_options
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained
 
 SIZE = 128  # points along a side of the map that is stored, an octahedron unfolded to a square
@@ -54,8 +55,12 @@ def colour_sphere(trained: Trained, params: Params, places: int, seed: int) -> G
       trained, params: the run, and one of its policies.
       places: number of LTEs.
       seed: seeds the starts.
+
+    Raises:
+      RunError: the episodes do not fit in memory.
     """
     program, family = trained.program, trained.program.family
+    check_rollouts(program, places, family.episode_length)
     codes = spread_codes(places, 3)
 
     def play(params: Params, key: jax.Array):
