@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +14,8 @@ import tyro
 from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.results import print_pictures, short_hash
 from ear_jax.errors import UsageError
-from ear_jax.runs.groups import Group, group, read
+from ear_jax.process.terminal import say
+from ear_jax.runs.groups import Group, Run, group, read
 
 PLOTS = Path("plots")
 
@@ -41,7 +43,7 @@ def main(words: list[str]) -> None:
     command = parse(PlotCommand, words, "plot")
     if not command.runs:
         raise UsageError("name at least one run")
-    groups = group([read(path) for path in dict.fromkeys(command.runs)])
+    groups = group(_readable(command.runs))
     from ear_jax.figures.formats import check_format
     from ear_jax.figures.plot import draw_plot
 
@@ -56,6 +58,27 @@ def main(words: list[str]) -> None:
         print(json.dumps({"metric": command.metric, "by": command.by, "curves": curves, "figures": files}))
     else:
         print_pictures(paths)
+
+
+def _readable(paths: Iterable[Path]) -> list[Run]:
+    """Reads the runs among some paths, and tells which are none: `runs/*` also names results of pretrained agents.
+
+    Raises:
+      UsageError: a path does not exist, or none is a run with metrics.
+    """
+    found, refused = [], []
+    for path in dict.fromkeys(paths):
+        try:
+            found.append(read(path))
+        except UsageError as error:
+            if not path.exists():
+                raise
+            refused.append(error)
+    if not found:
+        raise refused[0]
+    for reason in refused:
+        say(f"left out: {reason}")
+    return found
 
 
 def _files(command: PlotCommand, groups: list[Group]) -> list[Path]:

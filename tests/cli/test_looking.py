@@ -39,6 +39,20 @@ def test_runs_are_plotted_with_seeds_as_bands(runs, capsys):
     assert svg.read_text() == text
 
 
+def test_what_is_no_run_among_others_is_left_out(runs, capsys):
+    (runs / "pretrained-hopper-vel").mkdir()
+    (runs / "page.html").touch()
+    assert main(["plot", *sorted(path.name for path in runs.iterdir()), "--json"]) == 0
+    streams = capsys.readouterr()
+    assert len(json.loads(streams.out)["curves"]) == 2
+    assert [line.split()[:3] for line in streams.err.splitlines()] == [
+        ["left", "out:", "page.html"],
+        ["left", "out:", "pretrained-hopper-vel"],
+    ]
+    assert main(["plot", "ear-seed0", "eer-seed1"]) == 2
+    assert "eer-seed1 is not a run directory" in capsys.readouterr().err
+
+
 def test_two_groups_are_compared(runs, capsys):
     words = ["compare", "ear-seed0", "ear-seed1", "--against", "onehot-seeds0-1"]
     assert main([*words, "--json"]) == 0
