@@ -16,7 +16,7 @@ from ear_jax.runs import records
 Rows = list[dict[str, Any]]
 
 TENSORBOARD = "tensorboard"  # folder of a run
-WANDB = "wandb.json"  # file of a run: the name of its copies on Weights & Biases
+WANDB = "wandb.json"  # file of a run: the name of its copies on Weights & Biases, and the last epoch copied
 EVENTS = "events.out.tfevents.*"
 STEP = "env_steps"  # the horizontal axis in both
 
@@ -131,24 +131,30 @@ class Wandb:
             raise RunError("Weights & Biases is not installed: pip install 'ear-jax[wandb]'") from None
         self._wandb, self._run, self._config = wandb, run, config
         self._runs: dict[int, Any] = {}
-        self._name = self._identity()
+        self._name, self._epoch = self._place()
         for seed in range(config["seed"], config["seed"] + config["seeds"]):
             self._runs[seed] = self._open(seed)
 
     def write(self, rows: Rows) -> None:
-        for row in rows:
+        """Writes the rows that are not there yet: unlike event files, nothing can be taken back there."""
+        fresh = [row for row in rows if row["epoch"] > self._epoch]
+        for row in fresh:
             self._runs[row["seed"]].log(scalars(row), step=row[STEP])
+        if fresh:
+            self._epoch = max(row["epoch"] for row in fresh)
+            records.write_json(self._run / WANDB, {"id": self._name, "epoch": self._epoch})
 
     def close(self) -> None:
         for run in self._runs.values():
             run.finish()
 
-    def _identity(self) -> str:
-        """Returns the name under which a run continues there; a directory trained anew gets another."""
+    def _place(self) -> tuple[str, int]:
+        """Returns the name under which a run continues there, new for one trained anew, and its last epoch there."""
         path = self._run / WANDB
         if not path.exists():
-            records.write_json(path, {"id": uuid.uuid4().hex[:12]})
-        return str(records.read_json(path)["id"])
+            records.write_json(path, {"id": uuid.uuid4().hex[:12], "epoch": 0})
+        known = records.read_json(path)
+        return str(known["id"]), int(known["epoch"])
 
     def _open(self, seed: int) -> Any:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
 
@@ -13,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 
 from ear_jax.envs import FAMILIES
 from ear_jax.envs.as_gymnasium import FamilyVectorEnv
-from ear_jax.errors import UsageError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.gymnasium_ids import gymnasium_id
 from tests.helpers.probe import Bandit, Slider
 
@@ -129,6 +130,13 @@ def test_importing_ear_jax_imports_no_gymnasium():
     code = "import ear_jax, sys; print('gymnasium' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
+
+
+def test_stable_baselines3_that_is_absent_is_one_line(monkeypatch):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.delitem(sys.modules, "ear_jax.envs.as_sb3", raising=False)
+    with pytest.raises(RunError, match=r"^Stable-Baselines3 is not installed: pip install stable-baselines3$"):
+        importlib.import_module("ear_jax.envs.as_sb3")
 
 
 @pytest.mark.slow

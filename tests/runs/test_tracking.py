@@ -107,7 +107,9 @@ def test_a_run_goes_to_weights_and_biases_offline(tiny, run_directory, monkeypat
         assert [entry["_step"] for entry in history(file)] == [row["env_steps"] for row in own]
     before = records.read_json(run_directory / "wandb.json")
     train_run(dataclasses.replace(config, epochs=6), run_directory)
-    assert records.read_json(run_directory / "wandb.json") == before
+    assert records.read_json(run_directory / "wandb.json") == {**before, "epoch": 6}
+    (later,) = set(run_directory.glob("wandb/offline-run-*-0/*.wandb")) - set(files)
+    assert [entry["epoch"] for entry in history(later)] == [6]  # and nothing again
 
 
 def history(file: Path) -> list[dict[str, float]]:
