@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import gzip
 import hashlib
 import io
@@ -23,13 +24,15 @@ from ear_jax.cli.main import main
 from ear_jax.embeddings.codes import fibonacci_sphere
 from ear_jax.envs import Family, make_family
 from ear_jax.errors import RunError, UsageError
+from ear_jax.presets import preset_config
 from ear_jax.rendering.live import page, wasm
 from ear_jax.rendering.live.ground import octahedron
 from ear_jax.rendering.live.model import portable
 from ear_jax.rendering.live.programs import ELEMENTWISE, REDUCTIONS, Constants, translate
-from ear_jax.rendering.live.robot import translate_all
+from ear_jax.rendering.live.robot import translate_all, view
 from ear_jax.rendering.live.shapes import shapes
 from ear_jax.runs.trained import load, policy_of
+from ear_jax.runs.training import make_program
 
 RUNNER = """
 import { readFileSync } from "fs";
@@ -222,6 +225,22 @@ def test_models_are_handed_to_the_page_as_they_are():
     assert (model.nq, model.nu, model.body_mass[1]) == (1, 1, 1)
     with pytest.raises(UsageError, match="cannot rebuild the family's model"):
         portable(Heavier("native"))
+
+
+def test_the_documents_own_family_can_be_live(tmp_path):
+    """The family of `docs/your-own-family.md`, with a policy that nothing has trained."""
+    guide = Path(__file__).parents[2] / "docs" / "your-own-family.md"
+    (code,) = re.findall(r"^```python\n(.*?)^```$", guide.read_text(), re.MULTILINE | re.DOTALL)
+    file = tmp_path / "own.py"
+    file.write_text(code)
+    config = preset_config("halfcheetah-vel", "smoke")
+    config = dataclasses.replace(config, family=f"{file}:BalanceAt", engine="native", tasks=("-0.3", "0.3"))
+    program = make_program(config)
+    params = program.agent.init_policy(jax.random.key(0))
+    programs = translate_all(program.family, program.agent, params, Constants())
+    assert [step[0] for step in programs["terminated"]["steps"]] == ["take", "abs", "gt"]
+    assert portable(program.family)["xml"].startswith("<mujoco")
+    assert len(view(program.family)["shapes"]) == 3, "the rail, the cart and the pole"
 
 
 def test_shapes_are_fixed_to_bodies():

@@ -126,9 +126,9 @@ function advance(seconds) {
   }
   const step = robot.model.opt.timestep;
   for (show.owed += seconds; show.owed >= step && !robot.fell; show.owed -= step) {
+    const { steps } = robot;
     robot.step(steering.code);
-    const means = robot.means();
-    if (means) trace.add(robot.time, means);
+    if (robot.steps > steps) trace.add(robot.time, robot.means());
   }
   if (robot.fell) { robot.resets++; show.fallen = FALL_SECONDS; show.owed = 0; }
   show.pose = between(robot.before, robot.now, Math.min(1, show.owed / step));
