@@ -13,6 +13,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from ear_jax.files.replacing import replace_file
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 OPTIONS = (  # split where they are used
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
@@ -124,7 +126,8 @@ class Browser:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, text=key if len(key) == 1 else "")
 
     def picture(self, path: Path) -> Path:
-        path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
+        with replace_file(path) as scratch:
+            scratch.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
         return path
 
     def complaints(self) -> list[Any]:
