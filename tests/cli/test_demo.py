@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -15,8 +16,7 @@ from tests.helpers.runs import tiny_config
 @pytest.mark.slow
 def test_the_demo_shows_the_robot_and_proposes_commands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    small = tiny_config(tasks=("1", "2", "3"))
-    small = tiny_config(tasks=("1", "2", "3"), sac=small.sac.__class__(**{**vars(small.sac), "batch_size": 33}))
+    small = tiny_config(tasks=("1", "2", "3"), sac=dataclasses.replace(tiny_config().sac, batch_size=33))
     monkeypatch.setattr("ear_jax.presets.preset_config", lambda *_: small)
     assert main(["demo"]) == 0
     streams = capsys.readouterr()

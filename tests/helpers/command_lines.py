@@ -86,7 +86,7 @@ def make_places(here: Path) -> None:
 def _positional(name: str, dice: random.Random) -> list[str]:
     wanted = {"export": 2, "compare": 2, "demo": 0, "pretrained": 0, "doctor": 0}.get(name, 1)
     count = wanted if dice.random() < 0.92 else dice.choice((0, 1, 2, 3))
-    families = name in ("train", "config", "families")
+    families = name in ("train", "sweep", "config", "families")
     right = ("halfcheetah-vel", "hopper-vel", "HalfCheetah-Vel") if families else ("pretrained:hopper-vel",)
     pool = right if dice.random() < 0.75 else FAMILIES if families else RUNS
     runs = [dice.choice(pool) for _ in range(count)]
