@@ -149,7 +149,7 @@ def test_stable_baselines3_learns_the_bandits_tasks():
 
     envs = FamilyVecEnv(gymnasium.make_vec("ear_jax/Family-v0", num_envs=32, family=SLIDER))
     model = PPO("MlpPolicy", envs, n_steps=16, batch_size=128, learning_rate=3e-3, gamma=0.5, seed=0, device="cpu")
-    model.learn(20_000)
+    model.learn(8_000)
     actions, _ = model.predict(envs.reset(), deterministic=True)
     np.testing.assert_allclose(actions[:2, 0], [-0.5, 0.5], atol=0.2)
 
