@@ -15,6 +15,7 @@ from ear_jax.envs.symmetry import Symmetry, own_by_symmetry
 from ear_jax.errors import UsageError
 from ear_jax.learning import replay, return_scale
 from ear_jax.learning.replay import Replay
+from ear_jax.process.target import on_accelerator
 from ear_jax.tasks import TaskParams, task_count
 
 
@@ -72,6 +73,23 @@ class Batch:
     task: jax.Array  # int32 [n], the task it is scored for
 
 
+def rows_of_items(table: jax.Array, task: jax.Array) -> jax.Array:
+    """Returns the row of each item's task.
+
+    On an accelerator rows are repeated instead of gathered: gradients then need a sum and no scatter.
+
+    Args:
+      table: [tasks, …], or a scalar for all tasks, which is returned.
+      task: int32 [n], in order and each task equally often, as in every batch.
+    """
+    if not table.ndim:
+        return table
+    if not on_accelerator():
+        return table[task]
+    share = len(task) // len(table)
+    return jnp.broadcast_to(table[:, None], (len(table), share, *table.shape[1:])).reshape(-1, *table.shape[1:])
+
+
 @dataclass(frozen=True)
 class Batches:
     """Draws batches that hold equally many items for every task."""
@@ -126,8 +144,8 @@ class Batches:
         items = replay.gather(buffer, draws.source, slot)
         if self.symmetry:
             items = jax.vmap(partial(replay.apply_symmetry, self.symmetry))(draws.variant, items)
-        params = jax.tree.map(lambda leaf: leaf[task], self.tasks)
+        params = jax.tree.map(lambda leaf: rows_of_items(leaf, task), self.tasks)
         scale = self.reward_scale(buffer)
-        scale = scale[task] if isinstance(scale, jax.Array) else scale
+        scale = rows_of_items(scale, task) if isinstance(scale, jax.Array) else scale
         reward = scale * jax.vmap(self.family.reward)(items.outcome, params)
         return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)

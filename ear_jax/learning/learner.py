@@ -2,17 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar, Protocol
 
 import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from ear_jax.agents import Agent
 from ear_jax.config import Config
 from ear_jax.envs import Family
 from ear_jax.envs.batched_env import EnvState
+from ear_jax.process.target import on_accelerator
 from ear_jax.tasks import TaskParams
 
 Metrics = dict[str, jax.Array]
+
+
+def scan_metrics(step: Callable[[Any, Any], tuple[Any, Metrics]], state: Any, inputs: Any) -> tuple[Any, Metrics]:
+    """Scans a step over inputs, and stacks its metrics as `jax.lax.scan` does.
+
+    On an accelerator all metrics of a step are written as one vector: a write of a few numbers takes as long as a
+    small matmul.
+    """
+    if not on_accelerator():
+        return jax.lax.scan(step, state, inputs)
+    first = jax.tree.map(lambda leaf: leaf[0], inputs)
+    shapes = jax.eval_shape(step, state, first)[1]
+    unpack = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes))[1]
+
+    def packed(state: Any, inputs: Any) -> tuple[Any, jax.Array]:
+        state, metrics = step(state, inputs)
+        return state, ravel_pytree(metrics)[0]
+
+    state, vectors = jax.lax.scan(packed, state, inputs)
+    return state, jax.vmap(unpack)(vectors)
 
 
 class Learner(Protocol):

@@ -14,7 +14,7 @@ from ear_jax.agents import Agent
 from ear_jax.agents.critic import Critic, Prediction
 from ear_jax.agents.networks import Params
 from ear_jax.agents.tanh_gaussian import sample
-from ear_jax.learning.batch import Batch, Noise
+from ear_jax.learning.batch import Batch, Noise, rows_of_items
 
 
 def sample_policy(
@@ -22,11 +22,11 @@ def sample_policy(
 ) -> tuple[jax.Array, jax.Array]:
     """Samples actions [n, act] and log-densities [n], each under its task's code plus noise (algorithm 1)."""
 
-    def one(obs, task, noise):
-        code = agent.project(table[task] + agent.code_noise * noise.code)
+    def one(obs, row, noise):
+        code = agent.project(row + agent.code_noise * noise.code)
         return sample(agent.distribution(policy, code, obs), noise.action)
 
-    return jax.vmap(one)(obs, task, noise)
+    return jax.vmap(one)(obs, rows_of_items(table, task), noise)
 
 
 def predictions(critics: Params, critic: Critic, obs: jax.Array, action: jax.Array, task: jax.Array) -> Prediction:

@@ -15,7 +15,7 @@ from flax import struct
 from ear_jax.agents.networks import Params
 from ear_jax.agents.posterior import Context, Posterior, prior, where
 from ear_jax.learning import losses, replay
-from ear_jax.learning.batch import Batch, Draws
+from ear_jax.learning.batch import Batch, Draws, rows_of_items
 from ear_jax.learning.replay import Replay
 from ear_jax.learning.rollout import score
 from ear_jax.learning.sac import CriticStep, SacLearner, SacState
@@ -70,7 +70,7 @@ class PearlLearner(SacLearner):
 
     def task_input(self, table: jax.Array, task: jax.Array) -> jax.Array:
         """Returns the tasks' codes [n, code]."""
-        return table[task]
+        return rows_of_items(table, task)
 
     def train_critics(
         self, state: SacState, buffer: Replay, draws: Any, batch: Batch, obs: jax.Array, target: Any

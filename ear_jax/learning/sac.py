@@ -15,11 +15,11 @@ from ear_jax.agents.critic import Critic, aggregate_q
 from ear_jax.agents.networks import Params
 from ear_jax.config import Config, is_on
 from ear_jax.envs import Family
-from ear_jax.envs.batched_env import BatchedEnv, EnvState
+from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
 from ear_jax.learning import losses, replay
-from ear_jax.learning.batch import Batch, Batches, Draws, Noise, check_batch
+from ear_jax.learning.batch import Batch, Batches, Draws, Noise, check_batch, rows_of_items
 from ear_jax.learning.exploration import held_noise
-from ear_jax.learning.learner import Metrics
+from ear_jax.learning.learner import Metrics, scan_metrics
 from ear_jax.learning.optimiser import make_optimiser
 from ear_jax.learning.replay import Experience, Replay
 from ear_jax.learning.return_scale import largest_reward
@@ -128,16 +128,27 @@ class SacLearner:
         self, state: SacState, buffer: Replay, env_states: EnvState, key: jax.Array
     ) -> tuple[EnvState, Replay, Metrics]:
         """Steps every task's environments under the task's code and adds the transitions to its ring."""
+        codes = self.codes_to_act(state.policy, buffer, key)
+        env_states, transitions = self.explore(state.policy, codes, env_states, key)
+        return env_states, *self.store(buffer, transitions)
+
+    def explore(
+        self, policy: Params, codes: jax.Array, env_states: EnvState, key: jax.Array
+    ) -> tuple[EnvState, Transition]:
+        """Steps every task's environments under the task's code; transitions are [steps, tasks, envs]."""
         settings = self.config.collect
         shape = (settings.steps, self.task_count, settings.envs, self.family.action_size)
-        act = act_with(self.agent, state.policy, self.codes_to_act(state.policy, buffer, key))
+        act = act_with(self.agent, policy, codes)
         noise = held_noise(jax.random.normal(key, shape), jax.random.fold_in(key, 2), settings.hold_noise)
-        env_states, transitions = rollout(BatchedEnv(self.family), act, env_states, noise, record=lambda step: step)
+        return rollout(BatchedEnv(self.family), act, env_states, noise, record=lambda step: step)
+
+    def store(self, buffer: Replay, transitions: Transition) -> tuple[Replay, Metrics]:
+        """Adds transitions [steps, tasks, envs] to the rings."""
         invalid = jnp.sum(~transitions.valid, dtype=jnp.float32)
         if buffer.largest is not None:
             largest = largest_reward(self.family, self.tasks, transitions, buffer.largest)
             buffer = replace(buffer, largest=largest)
-        return env_states, replay.add(buffer, transitions), {"invalid_steps": invalid}
+        return replay.add(buffer, transitions), {"invalid_steps": invalid}
 
     def codes_to_act(self, policy: Params, buffer: Replay, key: jax.Array) -> jax.Array:
         """Returns the code table [tasks, code] under which collection acts."""
@@ -150,7 +161,7 @@ class SacLearner:
           The next state and metrics: scalars averaged over the updates, and `finite_updates` [tasks], the number of
           updates before a task's first non-finite loss.
         """
-        state, metrics = jax.lax.scan(
+        state, metrics = scan_metrics(
             lambda state, draws: self.update(state, buffer, draws),
             replace(state, policy=self.observe(state.policy, buffer)),
             self.draw(key, self.config.sac.updates),
@@ -203,7 +214,7 @@ class SacLearner:
         batch = self.batches.take(buffer, draws)
         share = self.config.sac.policy_share  # a batch is in order of tasks, so every n-th item is as often of each
         task, now = batch.task[::share], jax.tree.map(lambda leaf: leaf[::share], draws.now)
-        temperature = _of_items(jnp.exp(state.log_temperature), task)
+        temperature = rows_of_items(jnp.exp(state.log_temperature), task)
         table = self.codes_to_learn(state.policy, buffer, draws)
         target = self._target(state, batch, table, draws.next)
         obs = state.policy["standardiser"](batch.obs)  # for the critics; the policy standardises its own
@@ -220,7 +231,7 @@ class SacLearner:
 
         def temperature_objective(log_temperature):
             target_entropy = -float(self.family.action_size)
-            return losses.temperature_loss(_of_items(log_temperature, task), log_prob, target_entropy)
+            return losses.temperature_loss(rows_of_items(log_temperature, task), log_prob, target_entropy)
 
         (actor_loss, log_prob), policy_grad = jax.value_and_grad(actor_objective, has_aux=True)(state.policy)
         if critics.policy_grad is not None:
@@ -266,7 +277,8 @@ class SacLearner:
         one_hot, kind = jax.nn.one_hot(task, self.task_count), self.agent.critic_task
         if kind == "onehot":
             return one_hot
-        return table[task] if kind == "lte" else jnp.concatenate([one_hot, table[task]], axis=1)
+        rows = rows_of_items(table, task)
+        return rows if kind == "lte" else jnp.concatenate([one_hot, rows], axis=1)
 
     def _target(self, state: SacState, batch: Batch, table: jax.Array, noise: Noise) -> Any:
         """Returns the critics' target of each item, each leaf [n, …]."""
@@ -274,7 +286,7 @@ class SacLearner:
         next_obs = state.policy["standardiser"](batch.next_obs)
         task = self.task_input(table, batch.task)
         next_predictions = losses.predictions(state.target_critics, self.critic, next_obs, action, task)
-        temperature = _of_items(jnp.exp(state.log_temperature), batch.task)
+        temperature = rows_of_items(jnp.exp(state.log_temperature), batch.task)
         sac = self.config.sac
         return losses.critic_targets(
             self.critic, next_predictions, batch, log_prob, temperature, sac.discount, sac.pessimism
@@ -283,8 +295,3 @@ class SacLearner:
     def _apply(self, grad: Params, optimiser_state: Any, params: Params) -> tuple[Params, Any]:
         update, optimiser_state = self.optimiser.update(grad, optimiser_state, params)
         return optax.apply_updates(params, update), optimiser_state
-
-
-def _of_items(temperature: jax.Array, task: jax.Array) -> jax.Array:
-    """Returns each item's temperature or log-temperature: the shared scalar, or [n] if each task has its own."""
-    return temperature[task] if temperature.ndim else temperature

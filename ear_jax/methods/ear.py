@@ -11,6 +11,7 @@ from ear_jax.agents.networks import Params, mlp, unit_vector
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config
 from ear_jax.methods.method import Method, Sizes
+from ear_jax.process.target import exact_matmul
 
 
 def ear(sizes: Sizes, config: Config) -> Agent:
@@ -39,7 +40,8 @@ def ear(sizes: Sizes, config: Config) -> Agent:
 
     def codes(policy: Params) -> jax.Array:
         one_hots = jnp.eye(sizes.tasks)
-        return jax.vmap(lambda task: on_lte_sphere(task_encoder.apply(policy["task_encoder"], task)))(one_hots)
+        with exact_matmul():  # a row of the weights for each task, and not the row rounded
+            return jax.vmap(lambda task: on_lte_sphere(task_encoder.apply(policy["task_encoder"], task)))(one_hots)
 
     def embed(policy: Params, obs: jax.Array) -> jax.Array:
         return on_lse_sphere(encoder.apply(policy["encoder"], obs))

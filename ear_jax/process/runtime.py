@@ -8,6 +8,8 @@ from typing import Any
 
 import jax
 
+from ear_jax.process.target import on_accelerator
+
 
 def cache_dir(name: str = "xla") -> Path | None:
     """Returns a directory of the user's cache, by default that of compiled programs, or None.
@@ -38,6 +40,9 @@ def enable_cache() -> None:
         return
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    # XLA's own caches would put their path into the key of every program, so that a cache that is carried elsewhere
+    # would be of no use. The choices they keep are in the programs too.
+    jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
 
 
 def compiler_options(matmul: str = "float32") -> dict[str, Any]:
@@ -51,7 +56,7 @@ def compiler_options(matmul: str = "float32") -> dict[str, Any]:
     Args:
       matmul: the precision of most of the program's matmuls, as in `network.matmul`.
     """
-    if jax.default_backend() != "cpu":
+    if on_accelerator():
         return {}
     fusion = "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT" if matmul == "bfloat16" and has_amx() else ""
     return {"xla_backend_optimization_level": 1, "xla_cpu_experimental_ynn_fusion_type": fusion}

@@ -1,0 +1,159 @@
+"""Kernels, memory traffic and CUDA graphs of programs compiled for an H100, on a machine without one.
+
+XLA compiles for a described device, so these counts are the same on every machine; times are not known this way, and
+XLA does not try out kernels (autotuning). Needs the dependency group `census`: `pip install --group census`, best in an
+environment of its own, as CUDA's libraries take 5 GB. One row a program: `learn` an update, `collect` and `evaluate`
+a step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib.util
+import os
+import re
+import tempfile
+from collections import Counter
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks import common, hlo
+
+DEVICE = Path(__file__).with_name("h100.txtpb")
+PLUGIN = "jax_plugins.xla_cuda12"
+# What a kernel is part of: the first pattern that its source matches. Sources are JAX's names of operations.
+PARTS = (
+    ("fused networks", r"fused/|triton|pallas"),
+    ("critics backward", r"transpose\(jvp\(vmap\(vmap\(_(Mlp|Residual)"),
+    ("critics forward", r"vmap\(vmap\(_(Mlp|Residual)"),
+    ("policy backward", r"transpose\(jvp\(vmap\(_Mlp"),
+    ("policy forward", r"vmap\(_Mlp"),
+    ("gradient norms", r"closed_call/(vmap\(\)/)?(sqrt|reduce_sum)$"),
+    ("Adam and target", r"closed_call/(vmap\(\)/)?(add|sub)$|select_n$"),
+    ("losses backward", r"transpose\(jvp"),
+    ("losses forward", r"jvp|vmap"),
+)
+
+
+def missing() -> str | None:
+    """Returns why programs cannot be compiled for a GPU here; None if they can."""
+    try:
+        found = importlib.util.find_spec(PLUGIN)
+    except ModuleNotFoundError:
+        found = None
+    return None if found else "the dependency group `census` is not installed (pip install --group census)"
+
+
+def compile_for_h100(what: str, config: Any, dump: Path) -> str:
+    """Compiles one program of a run for all its seeds and returns its scheduled HLO; thunks are written to `dump`."""
+    import jax
+    from jax.experimental import topologies
+
+    from ear_jax.process.target import tracing_for
+    from ear_jax.runs import training
+
+    description = "\n".join(line for line in DEVICE.read_text().splitlines() if not line.startswith("#"))
+    topology = topologies.get_topology_desc(platform="cuda", target_config=description, topology="1x1x1")
+    device = jax.sharding.SingleDeviceSharding(topology.devices[0])
+    with tracing_for("gpu"):
+        program = training.make_program(config)
+        functions = {"learn": training.learn, "collect": training.collect, "evaluate": _evaluate}
+        keys = training.seed_keys(config)
+        state = jax.eval_shape(jax.vmap(partial(training.init, program)), keys)
+        shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=device), state)
+        donated = () if what == "evaluate" else 0
+        traced = jax.jit(jax.vmap(partial(functions[what], program)), donate_argnums=donated).trace(shapes)
+        lowered = traced.lower(lowering_platforms=("cuda",))
+        return lowered.compile({"xla_dump_to": str(dump), "xla_gpu_cuda_data_dir": _compiler()}).as_text()
+
+
+def _evaluate(program: Any, state: Any) -> Any:
+    from ear_jax.runs import training
+
+    return training.evaluate(program, state.learner.policy, state.key, program.config.log.episodes)
+
+
+def _compiler() -> str:
+    """Returns the folder of NVIDIA's assembler, from the group's packages."""
+    spec = importlib.util.find_spec("nvidia.cuda_nvcc")
+    assert spec is not None
+    assert spec.submodule_search_locations
+    return str(Path(next(iter(spec.submodule_search_locations))))
+
+
+def count(text: str) -> dict[str, Any]:
+    """Counts the kernels of one iteration of a program's outermost loop with the most of them, its updates or steps.
+
+    Returns:
+      `kernels`, `matmuls`, `traffic_mb`, `scatters` (which add in any order), `parts` (kernels by
+      part), and `host_reads`: loops in an iteration whose end
+      the host has to read from the device, each time round.
+    """
+    module = hlo.parse(text)
+    outer = [loop.called("body") for loop in module.loops(module.entry)]
+    bodies = {body: list(module.kernels(body)) for body in outer if body}
+    body, kernels = max(bodies.items(), key=lambda item: len(item[1]))
+    inner = [loop for loop in _loops_within(module, body) if loop.trips is None]
+    return {
+        "kernels": len(kernels),
+        "matmuls": sum(kernel.is_matmul for kernel in kernels),
+        "traffic_mb": round(sum(kernel.traffic for kernel in kernels) / 1e6, 1),
+        "host_reads": len(inner) + sum(loop.trips is None for loop in module.loops(module.entry)),
+        "scatters": sum("scatter" in kernel.ops for kernel in kernels),
+        "parts": dict(Counter(part(kernel) for kernel in kernels).most_common()),
+    }
+
+
+def _loops_within(module: hlo.Module, computation: str) -> list[hlo.Instruction]:
+    loops = module.loops(computation)
+    return loops + [inner for loop in loops if (body := loop.called("body")) for inner in _loops_within(module, body)]
+
+
+def part(kernel: hlo.Kernel) -> str:
+    """Names the part of an update that a kernel belongs to."""
+    for name, op in (("metrics", "dynamic-update-slice"), ("gathered batch", "gather")):
+        if op in kernel.ops:
+            return name
+    return next((name for name, pattern in PARTS if re.search(pattern, kernel.source)), "other")
+
+
+def graphs(dump: Path) -> dict[str, int]:
+    """Counts the CUDA graphs of one iteration of the dumped program's longest loop, and its thunks outside of them."""
+    (listing,) = dump.glob("*thunk_sequence_after_thunk_passes.txt")
+    _, *bodies = re.split(r"^( *)body:\n", listing.read_text(), flags=re.MULTILINE)
+    indent, body = max(zip(bodies[::2], bodies[1::2], strict=True), key=lambda found: len(found[1]))
+    body = re.split(rf"^ {{0,{len(indent)}}}\S", body, maxsplit=1, flags=re.MULTILINE)[0]
+    kinds = re.findall(rf"^ {{{len(indent) + 2}}}\d+: (k\w+)", body, re.MULTILINE)
+    return {"graphs": kinds.count("kCommandBuffer"), "loose": len(kinds) - kinds.count("kCommandBuffer")}
+
+
+def measure(options: argparse.Namespace, what: str, kernels: str, seeds: int = 5) -> None:
+    """Compiles one program of `fast` HalfCheetah-Vel and writes its row."""
+    from ear_jax.presets import preset_config
+
+    config = preset_config("halfcheetah-vel", "fast")
+    network = dataclasses.replace(config.network, kernels=kernels)
+    config = dataclasses.replace(config, seeds=seeds, network=network, engine="native" if what == "learn" else "mjx")
+    with tempfile.TemporaryDirectory() as scratch:
+        counted = {**count(compile_for_h100(what, config, Path(scratch))), **graphs(Path(scratch))}
+    about = {"program": what, "family": config.family, "preset": config.preset, "seeds": seeds}
+    common.write_row(options, "census", {**about, "kernels_by": kernels, "device": "H100", **counted})
+
+
+def main() -> None:
+    options = common.arguments(__doc__)
+    if reason := missing():
+        print(f"census skipped: {reason}")
+        return
+    os.environ["JAX_PLATFORMS"] = "cpu"
+    measure(options, "learn", "xla", 1 if options.quick else 5)
+    if not options.quick:
+        measure(options, "learn", "fused")
+        measure(options, "collect", "xla")
+        measure(options, "evaluate", "xla")
+
+
+if __name__ == "__main__":
+    main()
