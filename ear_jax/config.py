@@ -61,6 +61,8 @@ class NetworkConfig:
     """Initial weights: as in the authors' code, or uniform by fan-in."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the hidden layers' matmuls during updates; bfloat16 is twice as fast on a CPU with AMX."""
+    kernels: Literal["auto", "xla", "fused"] = "auto"
+    """Kernels of updates: XLA's, or fused ones for NVIDIA GPUs, which a CPU interprets; auto takes XLA's."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,8 @@ class CollectConfig:
     """Epochs of collection with the untrained policy before the first update."""
     hold_noise: int = 1
     """Longest time, in steps, that an action's noise is held; k steps with probability ∝ k⁻² (FlashSAC)."""
+    overlap: bool = False
+    """Collect while learning, with the policy of the epoch before; needs engine native."""
     stagger: bool = False
     """Start the episode clocks at random, so that environments do not all reset at once."""
 

@@ -25,6 +25,7 @@ ORDER = (
     "envs",
     "agents",
     "learning",
+    "fused",
     "methods",
     "presets",
     "pretrained",
