@@ -89,6 +89,7 @@ def _running() -> dict[str, Any]:
 
     from ear_jax.physics import choose_engine
     from ear_jax.process.memory import available
+    from ear_jax.process.precision import numbers
     from ear_jax.process.runtime import cache_dir, compiler_options, has_amx
 
     rooms = available()
@@ -100,6 +101,7 @@ def _running() -> dict[str, Any]:
             "matmul_precision": getattr(jax.config, "jax_default_matmul_precision", None) or "default",
             "amx": has_amx(),
         },
+        "arithmetic": numbers(),
         "engine": choose_engine("auto"),
         "compiler_options": compiler_options(),
         "rendering": _opengl(),

@@ -5,26 +5,17 @@ from __future__ import annotations
 import jax
 import mujoco
 
-from ear_jax.errors import RunError, known_name, unknown
+from ear_jax.errors import known_name, unknown
 from ear_jax.names import ENGINES
 from ear_jax.physics.native import NativeEngine
 from ear_jax.physics.state import Engine, check_state
 
 
 def choose_engine(name: str) -> str:
-    """Resolves `auto` by JAX's backend and refuses an engine that cannot run on it.
-
-    Raises:
-      UsageError: the engine is unknown.
-      RunError: the engine does not run on this backend.
-    """
-    name, backend = known_name("engine", name, ("auto", *ENGINES)), jax.default_backend()
+    """Resolves `auto` by JAX's backend; raises UsageError for an unknown engine."""
+    name = known_name("engine", name, ("auto", *ENGINES))
     if name == "auto":
-        return "native" if backend == "cpu" else "mjx"
-    if name == "native" and backend != "cpu":
-        raise RunError(
-            f"engine 'native' steps on the CPU, but JAX runs on {backend} here; use 'mjx' or JAX_PLATFORMS=cpu"
-        )
+        return "native" if jax.default_backend() == "cpu" else "mjx"
     return name
 
 

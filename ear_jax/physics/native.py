@@ -14,9 +14,11 @@ import numpy as np
 from jax.experimental.buffer_callback import buffer_callback
 from mujoco.batch import Batch
 
+from ear_jax.errors import RunError
 from ear_jax.physics.kinematics import body_positions
 from ear_jax.physics.state import Motion, Physics
 from ear_jax.process.progress import env_steps
+from ear_jax.process.target import on_accelerator
 
 
 class NativeEngine:
@@ -41,6 +43,11 @@ class NativeEngine:
         self._pools: dict[int, _Pool] = {}  # by number of simulations; each holds threads and MjData
 
     def step(self, physics: Physics, action: jax.Array) -> Motion:
+        if on_accelerator():
+            raise RunError(
+                f"engine 'native' steps on the CPU, but JAX runs on {jax.default_backend()} here; "
+                "use 'mjx' or JAX_PLATFORMS=cpu"
+            )
         model = self._model
         sizes = (model.nq, model.nv, model.nv, *((model.na,) if model.na else ()))
         results = tuple(jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes)

@@ -32,6 +32,7 @@ class Compiled:
     learn: Callable[[TrainState], tuple[TrainState, training.Metrics]]
     evaluate: Callable[[Params, jax.Array], Episodes]
     state: TrainState  # shapes only
+    both: Callable[[TrainState], tuple[TrainState, training.Metrics]] | None = None  # an epoch whose halves overlap
 
 
 def compile_program(program: Program, keys: jax.Array, numbers: Mapping[str, np.ndarray] | None = None) -> Compiled:
@@ -83,6 +84,10 @@ def train_epochs(compiled: Compiled, state: TrainState, epochs: int) -> tuple[Tr
     """Trains for some epochs and returns the metrics of each, without waiting for the device."""
     metrics = []
     for _ in range(epochs):
+        if compiled.both:
+            state, row = compiled.both(state)
+            metrics.append(row)
+            continue
         state, collected = compiled.collect(state)
         state, learnt = compiled.learn(state)
         metrics.append({**collected, **learnt})

@@ -12,6 +12,7 @@ import numpy as np
 from ear_jax.config import Config
 from ear_jax.learning.episodes import Episodes
 from ear_jax.learning.sac import CRITICS
+from ear_jax.process.precision import product
 from ear_jax.runs import records, training
 from ear_jax.runs.seeds import seed_range
 from ear_jax.runs.training import Program, TrainState
@@ -21,11 +22,13 @@ def header(program: Program, place: str | Path) -> str:
     """Returns the line that a run prints first."""
     config = program.config
     counts = program.agent.parameter_counts
+    products = product(config.network.matmul)
+    rounded = "" if products == "float32" else f" in {products}"
     critics = f", {CRITICS} critics of {counts['critic']:,}" if counts["critic"] else ""
     return (
         f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · "
         f"{seed_range(config)} · policy of {counts['policy']:,} parameters{critics} · "
-        f"engine {program.family.engine.name} on {jax.default_backend()} · {place}"
+        f"engine {program.family.engine.name} on {jax.default_backend()}{rounded} · {place}"
     )
 
 

@@ -30,8 +30,10 @@ from ear_jax.runs.directory import check_place, check_settings, check_tasks
 from ear_jax.runs.documents import about, differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
 from ear_jax.runs.failure import find_failure, reported
+from ear_jax.runs.fastest import with_engine
 from ear_jax.runs.history import FIRST, LOG, History, note_first_step, read_history, write_history
 from ear_jax.runs.lock import lock_directory
+from ear_jax.runs.on_host import collects_on_host, compile_on_host
 from ear_jax.runs.seeds import seed_sharding
 from ear_jax.runs.side_by_side import differing, join, members, of_run
 from ear_jax.runs.tracking import tracking
@@ -89,7 +91,8 @@ def train_runs(runs: Sequence[Run]) -> None:
     for run in runs:
         check(run.config)
         check_place(run.directory)
-    program = training.make_program(members([run.config for run in runs]))
+    program = training.make_program(with_engine(members([run.config for run in runs]), say))
+    on_host = collects_on_host(program)
     progress = _progress(runs, program, say)
     if progress.steps and _finished(program.config, progress.epoch, progress.seconds):
         done = f"{progress.epoch} epochs, {progress.seconds / 60:.1f} minutes"
@@ -111,7 +114,8 @@ def train_runs(runs: Sequence[Run]) -> None:
         say(header(replace(program, config=runs[0].config), _place(runs)))
         keys = jnp.concatenate([training.seed_keys(run.config) for run in runs])
         with phase("compiling"):
-            compiled = compile_program(program, keys, differing([run.config for run in runs]))
+            compiling = compile_on_host if on_host else compile_program
+            compiled = compiling(program, keys, differing([run.config for run in runs]))
         state = _restore(program, compiled, keys, progress) if progress.steps else _begin(program, compiled, keys)
         _train_blocks(
             program, runs, compiled, state, keys, lambda: progress.seconds + time.perf_counter() - began, request

@@ -140,7 +140,7 @@ def test_an_engine_that_cannot_run_here_is_exit_code_1(tmp_path, monkeypatch, ca
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert main(["train", "halfcheetah-vel", "--engine", "native"]) == 1
+    assert main(["evaluate", "pretrained:halfcheetah-vel", "--engine", "native"]) == 1
     assert "use 'mjx'" in capsys.readouterr().err
 
 
