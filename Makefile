@@ -4,7 +4,7 @@ PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
 BIN := .venv/bin
 SOURCES := ear_jax benchmarks experiments tests docs/site
 
-.PHONY: setup demo test test-slow extras test-extras lint format bench docs lock
+.PHONY: setup demo test test-slow extras test-extras lint format bench bench-gpu docs lock
 
 setup: .venv/.made
 
@@ -53,6 +53,10 @@ bench: setup
 	$(BIN)/python -m benchmarks.peers
 	$(BIN)/python -m benchmarks.time_to_return
 	$(BIN)/python -m benchmarks.figures
+
+# Needs an NVIDIA GPU and `pip install "jax[cuda12]"` in .venv; at most eight minutes.
+bench-gpu: setup
+	$(BIN)/python -m benchmarks.gpu --minutes 8
 
 # The site, in build/site. What builds it is installed in a .venv-docs of its own, on top of .venv.
 docs: .venv-docs/.made

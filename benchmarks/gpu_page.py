@@ -1,0 +1,60 @@
+"""Draws `gpu.png`, one page, from the rows of `gpu.jsonl`; the last row of each setting counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+
+from benchmarks.figures import latest
+from ear_jax.figures.style import COLOURS, STYLE, save_figure
+
+KEYS = ("what", "family", "seeds", "device", "batch_size", "kernels", "engine", "overlap", "precision")
+PANELS = (
+    ("update", "update_ms", "ms an update"),
+    ("collect", "collect_s", "s an epoch"),
+    ("epoch", "epoch_s", "s an epoch"),
+)
+
+
+def draw_page(results: Path) -> Path | None:
+    """Draws a panel each of updates, collection and epochs; returns the picture's path, None without rows."""
+    path = results / "gpu.jsonl"
+    rows = [row for row in latest(path, KEYS) if "failed" not in row] if path.exists() else []
+    if not rows:
+        return None
+    with plt.rc_context(STYLE):
+        present = [panel for panel in PANELS if any(row["what"] == panel[0] for row in rows)]
+        figure, panels = plt.subplots(len(present), 1, figsize=(7.0, 8.5), layout="constrained", squeeze=False)
+        for axes, (what, key, label) in zip(panels[:, 0], present, strict=True):
+            _bars(axes, [row for row in rows if row["what"] == what], key, label)
+        devices = ", ".join(sorted({f"{row['device']}, {row['host_cores']} cores" for row in rows}))
+        figure.suptitle(devices + (" (rehearsal)" if all(row["quick"] for row in rows) else ""))
+        save_figure(figure, results / "gpu.png")
+        plt.close(figure)
+    return results / "gpu.png"
+
+
+def _bars(axes: Axes, rows: list[dict[str, Any]], key: str, label: str) -> None:
+    """Draws a horizontal bar for each row, with the range of its runs and its number."""
+    for index, row in enumerate(rows):
+        low, high = row[key] - row[f"{key}_min"], row[f"{key}_max"] - row[key]
+        colour = COLOURS[row.get("kernels") == "fused" or row.get("engine") == "mjx"]
+        axes.barh(index, row[key], xerr=[[low], [high]], color=colour, error_kw={"elinewidth": 0.8})
+        axes.annotate(f" {row[key]:.3g}", (row[f"{key}_max"], index), va="center", fontsize=7)
+    axes.set_yticks(range(len(rows)), [_name(row) for row in rows], fontsize=7)
+    axes.invert_yaxis()
+    axes.margins(x=0.12)
+    axes.grid(axis="y", visible=False)
+    axes.set_xlabel(label)
+
+
+def _name(row: dict[str, Any]) -> str:
+    words = [row["family"].removesuffix("-vel"), f"{row['seeds']} seeds"]
+    words += [f"batch {row['batch_size']:,}"] if "batch_size" in row else []
+    words += [row[key] for key in ("engine", "kernels") if row.get(key, "auto") != "auto"]
+    words += ["overlapped"] if row.get("overlap") else []
+    words += [row["precision"]] if row["what"] == "update" else []
+    return " · ".join(words)
