@@ -16,7 +16,7 @@ from jax.experimental import pallas as pl
 
 from ear_jax.process.target import on_accelerator
 
-UNIT = 64  # widths are multiples of it
+CHUNK = 64  # columns; widths are multiples of it
 NORM_EPSILON = 1e-6  # of `flax.linen.LayerNorm`
 
 Chunks = list[jax.Array]  # each [rows, columns]
@@ -31,14 +31,9 @@ class Pack:
     bfloat16: bool  # round factors of hidden layers to bfloat16; otherwise a GPU rounds to TF32, and a CPU does not
 
     @property
-    def chunk(self) -> int:
-        """Columns of a chunk: fewer and larger products take less time to compile."""
-        return UNIT if self.width % (2 * UNIT) else 2 * UNIT
-
-    @property
     def columns(self) -> list[Any]:
         """The slice of each chunk."""
-        return [pl.ds(start, self.chunk) for start in range(0, self.width, self.chunk)]
+        return [pl.ds(start, CHUNK) for start in range(0, self.width, CHUNK)]
 
     def vector(self, row: int) -> Chunks:
         """Returns a vector [width], each chunk [1, columns]."""
@@ -63,7 +58,7 @@ class Pack:
 
     def widen_back(self, grads: Chunks, row: int, size: int) -> Chunks:
         """Returns the gradient by the input [rows, size] of `widen`, in chunks if it is as wide as a layer."""
-        step = self.chunk if size == self.width else size
+        step = CHUNK if size == self.width else size
         pairs = list(zip(grads, self.columns, strict=True))
         return [
             total(self.dot(grad, self.ref[pl.ds(row + start, step), columns], True) for grad, columns in pairs)
@@ -81,7 +76,7 @@ class Pack:
         return [dot(grad, self.ref[rows, columns]) for columns in self.columns]
 
     def _weights(self, xs: Chunks, row: int, index: int, columns: Any) -> jax.Array:
-        return self.ref[pl.ds(row + index * self.chunk, xs[index].shape[1]), columns]
+        return self.ref[pl.ds(row + index * CHUNK, xs[index].shape[1]), columns]
 
 
 def dot(x: jax.Array, weights: jax.Array, transposed: bool = False) -> jax.Array:

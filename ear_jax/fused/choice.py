@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ear_jax.config import Config, is_on
 from ear_jax.errors import UsageError
-from ear_jax.fused.blocks import UNIT
+from ear_jax.fused.blocks import CHUNK
 from ear_jax.fused.launch import LEAST_ROWS
 from ear_jax.fused.learner import FusedSacLearner
 from ear_jax.learning.learner import Learner
@@ -38,8 +38,8 @@ def why_not(learner: type[Learner], config: Config) -> str | None:
     depths = {name: getattr(network, f"{name}_layers") for name in ("encoder", "decoder", "critic")}
     if learner is not SacLearner or config.agent != "ear":
         return f"they are for agent ear, not {config.agent}"
-    if network.width % UNIT or network.width > MAX_WIDTH:
-        return f"--network.width {network.width} is not a multiple of {UNIT} up to {MAX_WIDTH}"
+    if network.width % CHUNK or network.width > MAX_WIDTH:
+        return f"--network.width {network.width} is not a multiple of {CHUNK} up to {MAX_WIDTH}"
     for name, depth in depths.items():
         if not 1 <= depth <= MAX_LAYERS:
             return f"--network.{name}-layers {depth} is not from 1 to {MAX_LAYERS}"
