@@ -206,11 +206,13 @@ def _heads_bwd(layout: PolicyLayout, saved: Any, grad: jax.Array) -> tuple[jax.A
     depth = layout.encoder_layers + layout.decoder_layers
     lse_size, code_size = layout.sizes[1:3]
     kept = [(code_size, jnp.float32), (lse_size, jnp.float32), (lse_size, dtype), *[(layout.width, dtype)] * 2 * depth]
+    for last in (layout.encoder_layers, depth):  # inputs of the layers that multiply float32
+        kept[2 + depth + last] = (layout.width, jnp.float32)
     kernel = partial(_gradient_kernel, layout)
     found = launch(kernel, "policy_gradient", BACKWARD_ROWS, [x, code, grad], pack, kept, depth)
     by_code, by_lse, lse, *layers, sums = found
     inputs = jnp.concatenate([lse, code.astype(dtype)], axis=1)
-    rows = list(_weight_gradients(layout, x.astype(dtype), by_lse.astype(dtype), inputs, grad.astype(dtype), layers))
+    rows = list(_weight_gradients(layout, x.astype(dtype), by_lse, inputs, grad, layers))
     narrow = layout._narrow_row(jnp.sum(by_lse, axis=0), jnp.sum(grad, axis=0))
     return jnp.concatenate([*rows, jnp.sum(sums, axis=0), narrow[None]]), jnp.zeros_like(x), by_code
 
