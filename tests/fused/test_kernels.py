@@ -17,6 +17,11 @@ from ear_jax.methods.ear import ear
 from ear_jax.presets import preset_config
 
 OBS, ACT, TASKS, ITEMS, CRITICS = 5, 2, 3, 64, 2
+CASES = [
+    *(pytest.param(layers, "float32", marks=pytest.mark.slow) for layers in (1, 3)),
+    (2, "float32"),
+    (2, "bfloat16"),
+]
 TOLERANCE = {"float32": 1e-6, "bfloat16": 2e-3}  # of a gradient, relative to its norm
 
 
@@ -46,7 +51,7 @@ def error(found, expected) -> float:
     )
 
 
-@pytest.mark.parametrize(("layers", "matmul"), [(1, "float32"), (2, "float32"), (3, "float32"), (2, "bfloat16")])
+@pytest.mark.parametrize(("layers", "matmul"), CASES)
 def test_critics_and_their_gradients_are_those_of_the_networks(layers, matmul):
     config = config_of(layers, matmul)
     critic = task_critic(OBS, ACT, TASKS, config)
@@ -71,7 +76,7 @@ def test_critics_and_their_gradients_are_those_of_the_networks(layers, matmul):
     assert error(gradients(fused), gradients(reference)) < TOLERANCE[matmul]
 
 
-@pytest.mark.parametrize(("layers", "matmul"), [(1, "float32"), (2, "float32"), (3, "float32"), (2, "bfloat16")])
+@pytest.mark.parametrize(("layers", "matmul"), CASES)
 @pytest.mark.parametrize("sphere", [True, False])
 def test_policies_and_their_gradients_are_those_of_the_networks(layers, matmul, sphere):
     config = config_of(layers, matmul)
