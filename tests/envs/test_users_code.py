@@ -12,7 +12,10 @@ from ear_jax.cli.main import main
 from ear_jax.envs import find_family
 from ear_jax.errors import UsageError
 
-IMPORTS = "from tests.helpers.probe import Bandit\n"
+IMPORTS = "import traceback; from tests.helpers.probe import Bandit\n"
+LATER = """  def training_tasks(self):
+    if "check_family" in [frame.name for frame in traceback.extract_stack()]: return super().training_tasks()
+    raise"""
 
 
 @pytest.fixture
@@ -71,14 +74,12 @@ def test_a_file_imports_its_neighbours_and_not_those_of_another(here, monkeypatc
             "observe() fails: SystemExit: 3 (fam.py, line 4, in observe)",
         ),
         (
-            "class Mine(Bandit):\n  calls = []\n  def training_tasks(self):\n    self.calls.append(1)\n"
-            "    if len(self.calls) > 1: raise ValueError('only\\nlater')\n    return super().training_tasks()",
-            "ear: ValueError: only (fam.py, line 6, in training_tasks)",
+            f"class Mine(Bandit):\n{LATER} ValueError('only\\nlater')",
+            "ear: ValueError: only (fam.py, line 5, in training_t",
         ),
         (
-            "class Late(BaseException): pass\nclass Mine(Bandit):\n  calls = []\n  def training_tasks(self):\n"
-            "    self.calls.append(1)\n    if len(self.calls) > 1: raise Late\n    return super().training_tasks()",
-            "ear: Late (fam.py, line 7, in training_tasks)",
+            f"class Late(BaseException): pass\nclass Mine(Bandit):\n{LATER} Late",
+            "ear: Late (fam.py, line 6, in training_tasks)",
         ),
     ],
 )
