@@ -194,12 +194,8 @@ class Own(Family):
 
     name, substeps, mjx_solver, commanded, unit = "own", 1, (4, 8), "x", "m"
     text = (
-        (
-            "<mujoco><worldbody><body><joint type='slide' axis='1 0 0'/><geom size='.1' mass='1' margin='.01'/></body>"
-            "</worldbody><actuator><motor joint=''/></actuator></mujoco>"
-        )
-        .replace("joint=''", "joint='j'")
-        .replace("<joint type", "<joint name='j' type")
+        "<mujoco><worldbody><body><joint name='j' type='slide' axis='1 0 0'/><geom size='.1' mass='1' margin='.01'/>"
+        "</body></worldbody><actuator><motor joint='j'/></actuator></mujoco>"
     )
     training_tasks = parse_task = initial = observe = outcome = reward = lambda *_: None
 

@@ -146,7 +146,7 @@ function shove() {
 }
 
 /* Drawing. */
-let version = 0, drawnVersion = -1, colours = palette();
+let colours = palette();
 function drawPlaces() {
   const { steering, tasks, keeping } = show, ground = show.grounds[show.quantity];
   const scene = {
