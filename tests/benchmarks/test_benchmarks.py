@@ -8,8 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import recipe
 from benchmarks.time_to_return import passed
 from ear_jax.runs import records
+from tests.helpers.overlap import overlaps
 
 ROOT = Path(__file__).parents[2]
 
@@ -31,3 +33,11 @@ def test_a_benchmark_runs_in_small(name, tmp_path):
     rows = records.read_rows(tmp_path / f"{name}.jsonl")
     assert rows
     assert all(row["quick"] and "unavailable" not in row for row in rows)
+
+
+def test_no_part_of_the_picture_of_trials_lies_over_another(tmp_path, monkeypatch):
+    found = []
+    monkeypatch.setattr(recipe, "save_figure", lambda figure, path: found.extend(overlaps(figure)))
+    monkeypatch.setattr(recipe.documents, "put", lambda *_: None)
+    recipe.main(tmp_path / "recipe.png")
+    assert found == []
