@@ -144,7 +144,7 @@ HOSTILE = {
         lambda content: changed(content, agent="maml", network__width=2**15),
         "--sac.updates 4 is too many",
     ),
-    "tasks": (lambda content: changed(content, tasks=[str(n) for n in range(50_000)]), "at most 1000"),
+    "tasks": (lambda content: changed(content, tasks=[str(n) for n in range(20_000)]), "at most 1000"),
     "width a text": (lambda content: changed(content, network__width="16"), "it must be of type int"),
     "network a list": (lambda content: changed(content, network=[]), "network must be a table of settings"),
     "infinite minutes": (lambda content: changed(content, minutes=float("inf")), "it must be finite"),
@@ -159,9 +159,9 @@ def test_a_hostile_file_is_refused_in_one_line_before_its_arrays_are_read(name, 
     file, (hostile, complaint) = tmp_path / "policy.safetensors", HOSTILE[name]
     file.write_bytes(hostile(original))
     monkeypatch.setattr(safetensors, "read_arrays", lambda *_: pytest.fail("the arrays were read"))
-    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     assert complaint in (refusal(file) or "")
-    assert time.monotonic() - began < 5, "a second where nothing else runs"
+    assert time.process_time() - began < 3, "seconds of the processor; below one where nothing else runs"
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MEMORY
 
 
