@@ -20,10 +20,11 @@ NAME = "sweep.json"
 
 def check_place(directory: Path) -> None:
     """Checks that a directory can hold a sweep; raises UsageError if it holds something else, RunError as a run's."""
-    if not (directory / NAME).exists():
-        directories.check_place(directory)
-        if directory.exists() and any(directory.iterdir()):
-            raise UsageError(f"--out {directory} is neither empty nor a sweep's directory; name another")
+    if (directory / NAME).exists():
+        return
+    if directory.is_dir() and any(directory.iterdir()):
+        raise UsageError(f"--out {directory} is neither empty nor a sweep's directory; name another")
+    directories.check_place(directory)
 
 
 def begin(directory: Path, family: str, trials: Mapping[str, Mapping[str, Any]]) -> None:

@@ -48,7 +48,7 @@ def test_a_name_is_drawn_as_it_is(name, tmp_path):
     epochs = [{"best_of_epoch": 1.0, "reevaluated": 1.0, "achieved": 1.0}]
     adapted = {"name": name, "seed": 0, "target": 1.0, "epochs": epochs, "zero_shot": None, "lte": [1.0]}
     drawn = [
-        *draw_evaluate(tmp_path, {"commanded": quantity, "seeds": seeds}, []),
+        *draw_evaluate(tmp_path, {"commanded": quantity, "seeds": seeds}, rows=[]),
         *draw_interpolate(tmp_path, {"pairs": [pair], "betas": [0.5], "commanded": quantity}),
         *draw_adapt(tmp_path, {"tasks": [adapted]}),
     ]

@@ -336,7 +336,10 @@ def test_a_dry_run_tells_and_writes_nothing(tmp_path, monkeypatch, capsys):
     assert main([*words(finished_config(seeds=1)), "--dry-run"]) == 0
     said = capsys.readouterr().out
     assert "  sac.lr 0.001\n" in said
-    assert "memory: 0.95 GB (replay 0.00 GB, networks and optimisers 0.00 GB, compiling 0.95 GB, " in said
+    assert (
+        "memory: 0.95 GB (replay 0.00 GB, networks and optimisers 0.00 GB, an epoch 0.00 GB, compiling 0.95 GB, "
+        in said
+    )
     assert re.search(
         r"time here: \d+ s to compile, [\d.]+ s per epoch, .* every 2 epochs; 24 epochs take \d+ minutes\n", said
     )
