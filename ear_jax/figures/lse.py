@@ -30,8 +30,8 @@ def draw_lse(figures: Path, document: dict[str, Any], label: str = "") -> list[P
 def _draw_seed(path: Path, entry: dict[str, Any], document: dict[str, Any]) -> Path:
     with plt.rc_context(STYLE):
         figure, (first, second, third) = plt.subplots(1, 3, figsize=(9.5, 2.9), layout="constrained")
-        for axes, name in ((first, "state"), (second, "lse")):
-            points = _draw_path(axes, entry[name], NAMES[name], document["dt"])
+        _draw_path(first, entry["state"], NAMES["state"], document["dt"])
+        points = _draw_path(second, entry["lse"], NAMES["lse"], document["dt"])
         bar = figure.colorbar(points, ax=second, shrink=0.9)
         bar.set_label("time (s)")
         for index, name in enumerate(NAMES):

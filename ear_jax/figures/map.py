@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize
 
 from ear_jax.figures.style import STYLE, save_figure
@@ -55,14 +56,14 @@ def _draw_sphere(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -
             labels = trained + 0.17 * _across(trained, toward)
             near, shown = faces(ltes, index), faces(trained, index)
             reached = np.array(entry["achieved"])[near]
-            points = axes.scatter(*ltes[near].T, c=reached, cmap=shades, norm=scale, s=14, depthshade=False)
+            axes.scatter(*ltes[near].T, c=reached, cmap=shades, norm=scale, s=14, depthshade=False)
             for task, code, label in zip(np.array(entry["trained"])[shown], trained[shown], labels[shown], strict=True):
                 axes.scatter(*(1.03 * code), color="white", edgecolor="black", s=26, zorder=4, depthshade=False)
                 axes.text(*label, _label(task), ha="center", va="center", fontsize=7, bbox=BEHIND, zorder=3)
             axes.view_init(elevation, azimuth)
             axes.set_box_aspect((1, 1, 1), zoom=1.45)
             axes.set_axis_off()
-        bar = figure.colorbar(points, ax=figure.axes, shrink=0.75, pad=0.02)
+        bar = figure.colorbar(ScalarMappable(scale, shades), ax=figure.axes, shrink=0.75, pad=0.02)
         bar.set_label(f"{commanded['outcome']} ({commanded['unit']})")
         return save_figure(figure, path)
 

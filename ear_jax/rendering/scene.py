@@ -147,12 +147,12 @@ class Canvas:
         option, pert = mujoco.MjvOption(), mujoco.MjvPerturb()
         everything, moving = mujoco.mjtCatBit.mjCAT_ALL.value, mujoco.mjtCatBit.mjCAT_DYNAMIC.value
         model.vis.global_.fovy, model.vis.global_.orthographic = field_of_view, camera.orthographic
+        drawn = 0
         for index, pose in enumerate(poses):
             data.qpos[:] = pose
             mujoco.mj_forward(model, data)
             if index == 0:
                 mujoco.mjv_updateScene(model, data, option, pert, camera, everything, scene)
-                drawn = 0
             else:
                 mujoco.mjv_addGeoms(model, data, option, pert, moving, scene)
             if tints is not None:
