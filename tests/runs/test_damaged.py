@@ -55,14 +55,17 @@ def command_line(name: str, run: Path, dice: random.Random) -> list[str]:
     return [name, str(run), *options.get(name, [])]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 10))])
-def test_every_command_ends_in_one_line(seed, finished, tmp_path, monkeypatch, capsys):
+SEEDS = [(0, 8), *(pytest.param(seed, 20, marks=pytest.mark.slow) for seed in range(1, 11))]
+
+
+@pytest.mark.parametrize(("seed", "runs"), SEEDS)
+def test_every_command_ends_in_one_line(seed, runs, finished, tmp_path, monkeypatch, capsys):
     stub(monkeypatch, (*COMPUTES, "ear_jax.runs.loop.compile_program"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "precious").write_text("mine")
     shutil.copytree(finished, tmp_path / "good")
     dice = random.Random(seed)
-    for number in range(20):
+    for number in range(runs):
         run = Path(shutil.copytree(finished, tmp_path / f"run{number}"))
         damages = [damage(run, dice) for _ in range(dice.choice((1, 1, 2, 3)))]
         for name in dice.sample(COMMANDS, 2):
