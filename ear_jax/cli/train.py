@@ -21,7 +21,8 @@ from ear_jax.limits import check
 from ear_jax.names import ENGINES, FAMILIES, METHODS, family_name
 from ear_jax.presets import check_effect, draft_config, parts, preset_config
 from ear_jax.process.environment import start_jax
-from ear_jax.process.terminal import results_only, say, sign_of_life
+from ear_jax.process.streams import results_only
+from ear_jax.process.terminal import say, sign_of_life
 from ear_jax.runs import records
 from ear_jax.runs.directory import check_place, default_directory
 

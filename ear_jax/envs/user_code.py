@@ -13,7 +13,7 @@ from pathlib import Path
 import jax
 
 from ear_jax.errors import RunError, UsageError, first_line, user_place
-from ear_jax.process.terminal import results_only
+from ear_jax.process.streams import results_only
 
 NEEDS_CONCRETE_VALUES = (
     jax.errors.ConcretizationTypeError,

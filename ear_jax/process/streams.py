@@ -6,8 +6,10 @@ import codecs
 import contextlib
 import os
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 PLAIN = {"β": "beta", "σ": "sigma", "φ": "phi", "ψ": "psi", "γ": "gamma", "…": "...", "−": "-", "–": "-", "—": "-"}
@@ -106,3 +108,39 @@ class Stderr:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(sys.stderr, name)
+
+
+@contextmanager
+def results_only() -> Iterator[None]:
+    """Sends what this thread prints on stdout to stderr meanwhile; what other threads print stays where it belongs.
+
+    Of threads that enter at the same time the last one to leave puts stdout back.
+    """
+    token = _aside.set(True)
+    with _changing:
+        _entered.append(token)
+        if not isinstance(sys.stdout, _Stdout):
+            sys.stdout = _Stdout(sys.stdout)  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        _aside.reset(token)
+        with _changing:
+            _entered.remove(token)
+            if not _entered and isinstance(sys.stdout, _Stdout):
+                sys.stdout = sys.stdout.stdout
+
+
+class _Stdout:
+    """Stands in for stdout, and is stderr for threads within `results_only`."""
+
+    def __init__(self, stdout: Any):
+        self.stdout = stdout
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(Stderr() if _aside.get() else self.stdout, name)
+
+
+_aside: ContextVar[bool] = ContextVar("aside", default=False)
+_changing = threading.Lock()  # of stdout
+_entered: list[Any] = []  # a token for each `results_only` that is entered now

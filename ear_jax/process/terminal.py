@@ -5,7 +5,6 @@ That nobody reads it stops nothing.
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ from rich.text import Text
 
 from ear_jax.errors import plain
 from ear_jax.process.progress import env_steps
-from ear_jax.process.streams import Stderr
+from ear_jax.process.streams import Stderr, results_only
 
 console = Console(file=Stderr(), highlight=False, markup=False, emoji=False)  # type: ignore[arg-type]
 
@@ -54,17 +53,10 @@ def sign_of_life(name: str) -> Iterator[None]:
         yield
 
 
-@contextmanager
-def results_only() -> Iterator[None]:
-    """Sends what is printed on stdout to stderr meanwhile."""
-    with contextlib.redirect_stdout(console.file):
-        yield
-
-
 def _live(name: str) -> Progress:
     """Returns a line that shows a name, the time that passes and the steps taken, and vanishes at the end."""
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(), StepsColumn())
-    line = Progress(*columns, console=console, transient=True, disable=not is_live())
+    line = Progress(*columns, console=console, transient=True, disable=not is_live(), redirect_stdout=False)
     line.add_task(plain(name), total=None, began=env_steps.taken)
     return line
 
@@ -74,7 +66,7 @@ class TrainingBar:
 
     def __init__(self, done: int, epochs: int):
         columns = (SpinnerColumn(), BlockColumn())
-        self._bar = Progress(*columns, console=console, disable=not is_live())
+        self._bar = Progress(*columns, console=console, disable=not is_live(), redirect_stdout=False)
         self._task = self._bar.add_task("", total=epochs, completed=done, mean_return=None, speed="")
         self._epochs = epochs
 

@@ -6,8 +6,16 @@ import json
 import os
 import subprocess
 import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 
 import pytest
+from rich.console import Console
+
+from ear_jax.cli.main import main
+from ear_jax.process import terminal
+from ear_jax.process.streams import results_only
 
 EAR = f"{sys.executable} -m ear_jax.cli.main"
 
@@ -48,3 +56,57 @@ def test_nothing_of_an_error_reaches_a_stdout_that_others_read():
     done = shell("ear pretrained --json 2>&-")
     assert json.loads(done.stdout)["pretrained"]
     assert shell("ear evaluate nowhere --json 2>&-").stdout == b""
+
+
+def test_what_one_thread_prints_aside_leaves_the_others_stdout_alone(capsys):
+    """A second thread begins before the first one ends, and ends after it."""
+    before, entered, leave = sys.stdout, (Event(), Event()), (Event(), Event())
+
+    def work(number: int) -> None:
+        with results_only():
+            print("aside", number)
+            entered[number].set()
+            leave[number].wait(30)
+
+    with ThreadPoolExecutor(2) as pool:
+        working = []
+        for number in (0, 1):
+            working.append(pool.submit(work, number))
+            entered[number].wait(30)
+            print("result", number)
+        for number in (0, 1):
+            leave[number].set()
+            working[number].result()
+            print("end", number)
+    assert sys.stdout is before
+    streams = capsys.readouterr()
+    assert streams.out.splitlines() == ["result 0", "result 1", "end 0", "end 1"]
+    assert streams.err.splitlines() == ["aside 0", "aside 1"]
+
+
+def test_two_live_lines_at_a_time_disturb_neither_each_other_nor_stdout(monkeypatch, capsys):
+    """A program that trains in two threads on one terminal."""
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(terminal, "console", Console(stderr=True, force_terminal=True, width=60))
+    before = sys.stdout, sys.stderr
+
+    def train(number: int) -> None:
+        with terminal.phase(f"compiling {number}"):
+            time.sleep(0.15)
+        with terminal.TrainingBar(0, 10) as bar:
+            for epoch in range(3):
+                time.sleep(0.1 + 0.05 * number)
+                bar.update(epoch, 1.0, 2.0, 3.0)
+
+    with ThreadPoolExecutor(2) as pool:
+        for done in [pool.submit(train, number) for number in (0, 1)]:
+            done.result()
+    assert (sys.stdout, sys.stderr) == before
+    print("result")
+    assert capsys.readouterr().out == "result\n"
+
+
+def test_a_command_runs_in_any_thread(capsys):
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(main, ["pretrained", "--json"]).result() == 0
+    assert json.loads(capsys.readouterr().out)["pretrained"]
