@@ -12,7 +12,7 @@ import tyro
 from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.plot import PLOTS
 from ear_jax.cli.results import print_table, short_hash, show_and_keep
-from ear_jax.errors import UsageError
+from ear_jax.errors import UsageError, plain
 from ear_jax.runs.comparison import compare
 from ear_jax.runs.groups import two_groups
 
@@ -68,7 +68,7 @@ def _print(document: dict[str, Any]) -> None:
     rows = [(name.replace("_", " "), *values) for name, values in (returns | counts).items()]
     print_table(("", f"{first['name']}>", f"{second['name']}>"), rows, f"returns, from {document['returns_from']}")
     chance = _with_interval(document["probability_of_improvement"], ".2f")
-    print(f"On the same task, a seed of {first['name']} beats a seed of {second['name']}: probability {chance}")
+    print(plain(f"On the same task, a seed of {first['name']} beats a seed of {second['name']}: probability {chance}"))
     if not document["probability_of_improvement"]["interval"]:
         print("Intervals need at least two seeds of each.")
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shlex
 from typing import Any
 
 LIBRARY = "ear-jax"
@@ -16,7 +18,13 @@ def to_markdown(card: dict[str, Any], file: str) -> str:
       card: the document that `runs.card.make_card` returns.
       file: the name of the policy's file beside it.
     """
-    parts = (["---", *_front_matter(card), "---"], [f"# {card['name']}"], _about(card), _use(file), _results(card))
+    parts = (
+        ["---", *_front_matter(card), "---"],
+        [f"# {_text(card['name'])}"],
+        _about(card),
+        _use(file),
+        _results(card),
+    )
     return "\n\n".join("\n".join(part) for part in parts) + "\n"
 
 
@@ -58,9 +66,9 @@ def _about(card: dict[str, Any]) -> list[str]:
         "",
         "| | |",
         "|---|---|",
-        f"| family | {card['family']} |",
+        f"| family | {_text(card['family'])} |",
         f"| method | {card['agent']}, preset {card['preset']} |",
-        f"| trained by | `{card['command']}` (seed {card['seed']}{together}) |",
+        f"| trained by | {_code(card['command'])} (seed {card['seed']}{together}) |",
         f"| training | {card['env_steps']:,} env steps, {card['updates']:,} updates, {card['minutes']:g} minutes |",
         f"| engine | {card['engine']} |",
         f"| machine | {card['machine'].get('processor')}, {card['machine'].get('cores')} cores |",
@@ -76,14 +84,14 @@ def _use(file: str) -> list[str]:
             "import numpy as np",
             "import onnxruntime",
             "",
-            f'session = onnxruntime.InferenceSession("{file}")',
+            f"session = onnxruntime.InferenceSession({json.dumps(file)})",
             'ltes = json.loads(session.get_modelmeta().custom_metadata_map["ltes"])  # task → LTE',
             "lte = np.array([next(iter(ltes.values()))], np.float32)  # [1, code]",
             "obs = np.zeros((1, session.get_inputs()[1].shape[1]), np.float32)  # [1, obs]",
             '(action,) = session.run(["action"], {"lte": lte, "obs": obs})  # in [-1, 1]',
         ]
         return ["## Use", "", "```python", *lines, "```"]
-    return ["## Use", "", "```", f"ear evaluate {file}", f"ear explore {file}", "```"]
+    return ["## Use", "", "```", f"ear evaluate {shlex.quote(file)}", f"ear explore {shlex.quote(file)}", "```"]
 
 
 def _results(card: dict[str, Any]) -> list[str]:
@@ -91,15 +99,28 @@ def _results(card: dict[str, Any]) -> list[str]:
     for task in card["tasks"]:
         met = {True: "yes", False: "no", None: "–"}[task.get("met")]
         cells = (_number(task.get("target")), _number(task.get("achieved")), _number(task["return"], 1), met)
-        rows.append(f"| {task['name']} | {' | '.join(cells)} |")
+        rows.append(f"| {_text(task['name'])} | {' | '.join(cells)} |")
     return [
         "## Results and limits",
         "",
-        f"{card['limits']} The mean return is {card['mean_return']:.1f}, from {card['returns_from']} with "
+        f"{_text(card['limits'])} The mean return is {card['mean_return']:.1f}, from {card['returns_from']} with "
         f"{card['episodes']} episodes of each task.",
         "",
         *rows,
     ]
+
+
+def _text(words: str) -> str:
+    """Returns words as Markdown shows them as they are, also in a cell of a table."""
+    return re.sub(r"[\\`*_{}\[\]<>|$&~]", r"\\\g<0>", words)
+
+
+def _code(words: str) -> str:
+    """Returns words as Markdown shows them as code, also in a cell of a table."""
+    longest = max(map(len, re.findall("`+", words)), default=0)
+    fence = "`" * (longest + 1)
+    inner = f" {words} " if longest else words
+    return fence + inner.replace("|", "\\|") + fence
 
 
 def _number(value: float | None, digits: int = 2) -> str:
