@@ -17,7 +17,7 @@ from ear_jax.cli.results import check_writable
 from ear_jax.errors import RunError, UsageError
 from ear_jax.process.terminal import phase, say
 
-GALLERY = Path("runs") / "explore.html"
+FOLDER = Path("runs")  # of the page of all agents
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,6 +49,8 @@ def main(words: list[str]) -> None:
     check_least(command, places=10, steps=8)
     if command.all == (command.run is not None):
         raise UsageError("name a run, as in `ear explore pretrained:halfcheetah-vel`, or give --all")
+    if command.all and (command.replay or command.policy or command.family):
+        raise UsageError("--replay, --policy and --family go with a RUN and not with --all")
     path, document = gallery(command) if command.all else explore(command)
     if command.open:
         webbrowser.open(path.resolve().as_uri())
@@ -69,7 +71,7 @@ def explore(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
     check_sphere(trained, 3)
     check_writable(trained.directory)
     seed = trained.program.config.seed + command.policy
-    path = trained.directory / f"{name(command, seed)}.html"
+    path = trained.directory / name(command, f"seed{seed}")
     described = None if command.replay else live(command, trained)
     if described is not None:
         page.write_live_page(path, [described], wasm.find())
@@ -106,16 +108,15 @@ def gallery(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
         except RunError as error:  # an extra that is not installed
             say(f"{agent} is left out: {error}")
     robots = [one for one in described if one is not None]
-    page.write_live_page(GALLERY, robots, found)
-    return GALLERY, {"live": True, "robots": [description["name"] for description, _ in robots]}
+    path = page.write_live_page(FOLDER / name(command), robots, found)
+    return path, {"live": True, "robots": [description["name"] for description, _ in robots]}
 
 
-def name(command: ExploreCommand, seed: int) -> str:
-    """Returns the name of the page, which differs where its inputs do."""
-    words = [f"explore_seed{seed}", *(["replay"] if command.replay else [])]
-    words += [
+def name(command: ExploreCommand, *words: str) -> str:
+    """Returns the name of the page's file, which differs where its inputs do."""
+    options = [
         f"{option}-{getattr(command, option)}"
         for option in ("places", "steps", "seed", "engine")
         if getattr(command, option) != getattr(ExploreCommand, option)
     ]
-    return "_".join(words)
+    return "_".join(["explore", *words, *(["replay"] if command.replay else []), *options]) + ".html"

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from ear_jax.cli.completion import commands
 from ear_jax.cli.evaluate import falls
-from ear_jax.cli.results import keep, label_of, show_and_keep
+from ear_jax.cli.explore import name as explore_name
+from ear_jax.cli.on_run import OnRun
+from ear_jax.cli.results import UNLABELLED, keep, label_of, show_and_keep
 from ear_jax.errors import RunError
 
 
@@ -79,6 +84,33 @@ def test_outputs_of_other_options_have_other_names():
     assert len(set(labels)) == len(others)
     assert all(len(label) < 120 and "/" not in label for label in labels)
     assert labels == [label_of(replace(command, run="c", json=True)) for command in others]
+
+
+def instance(kind: Any) -> Any:
+    """Returns a command with its required options."""
+    required = {"run": Path("a"), "between": ("1", "2")}
+    fields = {field.name for field in dataclasses.fields(kind)}
+    return kind(**{name: value for name, value in required.items() if name in fields})
+
+
+def other(value: Any) -> Any:
+    """Returns another value of an option."""
+    return {bool: not value, int: 77, float: 77.0, tuple: ("7", "8")}.get(type(value), "x")
+
+
+KEPT = [name for name, kind in commands().items() if issubclass(kind, OnRun)]
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_every_option_that_changes_a_result_is_in_its_name(name):
+    command = instance(commands()[name])
+    fields = [field.name for field in dataclasses.fields(command) if field.name not in (*UNLABELLED, "all", "open")]
+    changed = [replace(command, **{field: other(getattr(command, field))}) for field in fields]
+    of = explore_name if name == "explore" else label_of
+    names = [of(one) for one in (command, *changed)]
+    if name == "explore":  # which names the policy by its seed
+        names[1 + fields.index("policy")] = explore_name(command, "seed1")
+    assert len(set(names)) == len(names), dict(zip(("", *fields), names, strict=True))
 
 
 def test_what_a_name_tells_already_is_not_repeated():

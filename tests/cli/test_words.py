@@ -48,6 +48,9 @@ MISTAKES = {
     "train hopper-vel --agent ppo": "unknown agent 'ppo' (there are: ear, ear-rnn, maml, multihead, onehot, ",
     "train hopper-vel --sac.lr 7": "--sac.lr 7.0 is out of range",
     "train hopper-vel --sac.lr x": "--sac.lr takes a number, not 'x'",
+    "train hopper-vel --minutes inf": "--minutes inf is out of range; it must be finite",
+    "train ant-dir --env.lateral-weight nan": "--env.lateral-weight nan is out of range; it must be finite",
+    "explore --all --replay": "--replay, --policy and --family go with a RUN and not with --all",
     "families fam.py": "fam.py names no class; name your own family as fam.py:",
     "demo --pretrained a b": "names 2 agents; name one",
 }
