@@ -30,8 +30,9 @@ def main(words: list[str]) -> None:
     from ear_jax.envs import find_task
     from ear_jax.figures.lse import draw_lse
 
-    names = trained.program.tasks.names
-    task = names[len(names) // 2] if command.task is None else find_task(trained.program.family, command.task).name
+    tasks = trained.program.tasks
+    row = len(tasks) // 2 if command.task is None else tasks.index(find_task(trained.program.family, command.task).name)
+    task = tasks.names[row]
     with phase("playing an episode"):
         document = lse(trained, task, command.seed)
     kept = partial(keep, trained.directory, "lse", label_of(command), document, draw_lse)

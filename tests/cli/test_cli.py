@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from ear_jax.cli.doctor import known_bad
+from ear_jax.cli.doctor import known_bad, lacking
 from ear_jax.cli.main import main
 from ear_jax.cli.train import read
 from ear_jax.methods import METHODS
@@ -79,6 +79,9 @@ def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         ("train halfcheetah-vel --collect.envs -3", "must be at least 1"),
         ("train halfcheetah-vel --sac.batch-size 481", "try 480 or 490"),
         ("train halfcheetah-vel --agent eer", "did you mean 'ear'"),
+        ("train halfcheetah-vel --agent pearl --sac.return-scale 9", "--sac.return-scale does not go with pearl"),
+        ("train halfcheetah-vel --agent ear-rnn --network.encoder-layers 0", "0 is too small for ear-rnn"),
+        ("train halfcheetah-vel --agent maml --sac.updates 2", "--sac.updates 2 is too many; maml makes one"),
         ("train halfcheetah-vel --engine mjxx", "did you mean 'mjx'"),
         ("train halfcheetah-vel --tasks 1 fast", "name a speed in metres per second"),
         ("train halfcheetah-vel --tasks 2 vel-2", "'vel-2' is given twice"),
@@ -259,6 +262,19 @@ def test_doctor_knows_bad_mixes():
     assert "not supported" in known_bad(good, (3, 10))[0]
     assert "untested" in known_bad({**good, "jax": "0.9.1", "jaxlib": "0.9.1"}, (3, 11))[0]
     assert "not installed" in known_bad({**good, "brax": None}, (3, 11))[0]
+
+
+def test_doctor_tells_what_is_lacking_and_what_goes_without_it(monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: name)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: name)
+    assert lacking() == []
+    for place in ("shutil.which", "ctypes.util.find_library", "importlib.util.find_spec"):
+        monkeypatch.setattr(place, lambda name: None)
+    ffmpeg, opengl, metaworld = lacking()
+    assert ffmpeg == "ffmpeg is not on the PATH, so `ear render` makes GIFs and no MP4s"
+    assert "install libegl1 or libosmesa6" in opengl
+    assert "pip install 'ear-jax[reach]'" in metaworld
 
 
 def test_importing_prints_nothing(tmp_path):

@@ -65,6 +65,15 @@ def test_two_groups_are_compared(runs, capsys):
     )
 
 
+@pytest.mark.parametrize("as_json", [[], ["--json"]])
+def test_a_comparison_whose_figure_cannot_be_written_is_shown(as_json, runs, capsys):
+    (runs / "plots").touch()
+    assert main(["compare", "ear-seed0", "onehot-seeds0-1", *as_json]) == 0
+    streams = capsys.readouterr()
+    assert json.loads(streams.out)["figures"] == [] if as_json else "beats a seed of" in streams.out
+    assert streams.err.startswith("warning: these results are not kept: cannot write plots")
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [

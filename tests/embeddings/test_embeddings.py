@@ -242,6 +242,8 @@ def test_ltes_are_saved_by_name_and_found_again(tmp_path):
         (["1", "0"], "has 2 numbers; this run's LTEs have 3"),
         (["0", "0", "0"], "no direction"),
         (["1", "nan", "0"], "no direction"),
+        (["inf", "0", "0"], "no direction"),
+        (["1e10", "0", "0"], "no direction; its numbers must be below 1e"),
         (["1", "x", "0"], "neither a name nor 3 numbers"),
     ],
 )

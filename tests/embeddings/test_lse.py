@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from ear_jax.embeddings.lse import analyse, autocorrelation, first_peak, principal_components
+from ear_jax.embeddings.lse import analyse, autocorrelation, first_peak, principal_components, record_signals
+from ear_jax.errors import UsageError
 
 STEPS = np.arange(120)
 
@@ -56,6 +59,12 @@ def test_a_period_is_no_multiple_of_itself(period, noise, seed):
 def test_a_pattern_that_repeats_only_at_every_other_beat_has_the_longer_period():
     """The short part alone repeats after 6 steps, but half of the signal does not."""
     assert analyse(gait(6, 0.05, 0, ((12, 1.0),))).period == 12
+
+
+def test_an_agent_without_an_lse_is_refused():
+    program = SimpleNamespace(agent=SimpleNamespace(embed=None), config=SimpleNamespace(agent="multihead"))
+    with pytest.raises(UsageError, match="agent multihead has no latent state embedding"):
+        record_signals(SimpleNamespace(program=program), "vel-1", 0)
 
 
 @pytest.mark.parametrize("highest", [0.9605, 0.99, 1.0])

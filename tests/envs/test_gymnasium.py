@@ -44,6 +44,8 @@ def test_gymnasiums_checker_accepts_one_robot():
 def test_a_batch_deals_tasks_in_turn_and_shows_them():
     envs = gymnasium.make_vec("ear_jax/Family-v0", num_envs=4, family=SLIDER)
     assert isinstance(envs, FamilyVectorEnv)
+    with pytest.raises(gymnasium.error.ResetNeeded, match="call reset before step"):
+        envs.step(np.zeros((4, 1), np.float32))
     assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     assert envs.task_names == ["-0.5", "0.5", "-0.5", "0.5"]
     obs, infos = envs.reset(seed=3)

@@ -64,6 +64,24 @@ def test_a_run_without_commands_has_no_figure_of_them(tmp_path):
     assert [picture.name for picture in drawn] == ["commanded_achieved_x.png"]
 
 
+def test_every_episode_of_every_seed_is_a_point(tmp_path, monkeypatch, drawn):
+    points, scatter = [], Axes.scatter
+    monkeypatch.setattr(Axes, "scatter", lambda self, x, y, **how: points.append((x, y)) or scatter(self, x, y, **how))
+    tasks = [{"target": float(target), "episodes": {"velocity": [target - 9.0, target + 9.0]}} for target in range(12)]
+    seeds = [{"seed": seed, "tasks": tasks} for seed in (4, 5, 6)]
+    rows = [
+        {"seed": seed, "seconds": 60.0 * n, "mean_return": n, "env_steps": n, "updates": n}
+        for n in (1, 2)
+        for seed in (4, 5, 6)
+    ]
+    evaluate.draw_evaluate(tmp_path, {"commanded": QUANTITY, "seeds": seeds}, rows=rows)
+    assert drawn[:3] == [([1.0, 2.0], [1, 2])] * 3
+    assert [len(x) for x, _ in points] == [24] * 3
+    (low, high), _ = drawn[3]
+    assert low <= -9
+    assert high >= 20, "the axes reach as far as the points"
+
+
 def test_a_search_shows_both_judgements_and_the_answer_of_the_map(tmp_path, drawn):
     epochs = [{"best_of_epoch": best, "reevaluated": again} for best, again in ((-9, -12), (-7, -8))]
     task = {"seed": 2, "name": "vel-3.6", "epochs": epochs, "zero_shot": {"reevaluated": -10}}

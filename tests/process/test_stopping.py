@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import signal
 import subprocess
@@ -175,6 +177,15 @@ def test_a_second_process_is_refused_with_the_firsts_name(tmp_path):
     with lock_directory(tmp_path, said.append):
         pass
     assert len(said) == 1, "and once is enough"
+
+
+def test_a_file_system_without_locks_is_told_of(tmp_path, monkeypatch):
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(RunError, match=r"cannot lock .*lock: No locks available"), lock_directory(tmp_path, print):
+        pass
 
 
 def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path):

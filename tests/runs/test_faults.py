@@ -25,6 +25,7 @@ from ear_jax.errors import RunError
 from ear_jax.presets import preset_config
 from ear_jax.runs import checkpoint, loop, records
 from ear_jax.runs.loop import train_run
+from ear_jax.runs.trained import load
 from tests.helpers.faults import killed_before
 from tests.helpers.runs import finished_config, last_state, leaves, stray_writes, words
 
@@ -170,6 +171,20 @@ def test_killed_at_twelve_random_moments_it_ends_as_if_nothing_had_been(agent, s
 
 
 @pytest.mark.slow
+def test_a_policy_is_read_at_any_moment_of_its_training(tmp_path):
+    """Checkpoints are saved every block, and older ones removed, all the while."""
+    config = config_of("ear", 1, epochs=400, checkpoint=CheckpointConfig(blocks=1))
+    directory, read = tmp_path / "run", []
+    with training(config, directory, tmp_path / "said") as process:
+        wait_for(process, lambda: len(checkpoint.steps(directory / "checkpoints")) > 1)
+        while process.poll() is None:
+            read.append(load(directory).epoch)
+        assert process.returncode == 0, (tmp_path / "said").read_text()
+    assert read == sorted(read)
+    assert len(set(read)) > 10
+
+
+@pytest.mark.slow
 def test_a_reader_of_stderr_that_leaves_does_not_end_a_run(tmp_path):
     command = [sys.executable, "-m", "tests.helpers.quick", *words(finished_config()), "--out", str(tmp_path / "run")]
     environment = {**os.environ, "EAR_JAX_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
@@ -239,7 +254,9 @@ def test_on_a_small_file_system_that_fills_up(tmp_path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_without_its_replay_a_checkpoint_is_small_and_continuing_says_what_it_costs(finished, capsys, compiled_once):
+def test_without_its_replay_a_checkpoint_is_small_and_continuing_says_what_it_costs(
+    finished, capsys, compiled_once, monkeypatch
+):
     config, steps = finished_config(epochs=26), finished / "checkpoints"
     small = dataclasses.replace(config, checkpoint=CheckpointConfig(replay=False))
     train_run(small, finished)
@@ -247,8 +264,10 @@ def test_without_its_replay_a_checkpoint_is_small_and_continuing_says_what_it_co
     assert (step.epoch, step.about["replay"]) == (26, False)
     assert not any(name.startswith("replay") for name in step.about["leaves"])
     capsys.readouterr()
+    monkeypatch.setattr(loop, "differences", lambda *_: ["jax was 0.1, is 0.2"])
     train_run(dataclasses.replace(config, epochs=28), finished)
     said = capsys.readouterr().err
+    assert "warning: jax was 0.1, is 0.2: results may differ in the last bit" in said
     assert "epoch 26 was saved without its replay; 2 epochs of collection (40 env steps per seed) refill it" in said
     rows = records.read_rows(finished / "metrics.jsonl")
     # 2 tasks × 2 envs × 5 steps an epoch; 2 epochs of pretraining, and 2 more

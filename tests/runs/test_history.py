@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -196,6 +197,16 @@ def test_stray_names_do_not_hinder_a_save(kind, finished):
     checkpoint.save(steps, 26, state, {})
     assert checkpoint.newest(steps, pytest.fail).epoch == 26
     assert all(path.name.isdecimal() for path in steps.iterdir())
+
+
+def test_what_cannot_be_removed_is_named(finished, monkeypatch, refusal):
+    def refuse(path: Path) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted", str(path))
+
+    (finished / "checkpoints" / ".26.part").mkdir()
+    monkeypatch.setattr(checkpoint, "_remove", refuse)
+    assert "cannot remove" in (said := refusal(MORE))
+    assert said.endswith(".26.part: Operation not permitted")
 
 
 def test_checkpoints_that_are_no_directory_are_refused(refusal, finished):

@@ -13,6 +13,7 @@ import pytest
 from ear_jax.cli.main import main
 from ear_jax.errors import RunError
 from ear_jax.runs import checkpoint, loop
+from ear_jax.runs.documents import differences
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.training import make_program
 from ear_jax.tasks import Task, task_set
@@ -104,6 +105,14 @@ def test_a_dry_run_tells_and_writes_nothing(tmp_path, monkeypatch, capsys):
         r"time here: \d+ s to compile, [\d.]+ s per epoch, .* every 2 epochs; 24 epochs take \d+ minutes\n", said
     )
     assert list(tmp_path.iterdir()) == []
+
+
+def test_other_versions_and_engines_are_told_of(finished):
+    program, about = make_program(finished_config()), checkpoint.newest(finished / "checkpoints", pytest.fail).about
+    assert differences(about, program) == []
+    jax = about["versions"]["jax"]
+    other = {**about, "engine": "mjx", "versions": {**about["versions"], "jax": "0.1"}}
+    assert differences(other, program) == ["engine was mjx, is native", f"jax was 0.1, is {jax}"]
 
 
 def test_the_fingerprint_is_of_names_targets_and_numbers_in_order():
