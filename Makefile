@@ -27,10 +27,10 @@ test-slow: setup
 
 # Packages that the base installation does without, and the tests that are skipped where they are missing.
 extras: setup
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[onnx,wandb]'
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --editable '.[cluster,onnx,wandb]'
 
 test-extras: extras
-	$(BIN)/pytest tests/runs/test_onnx.py tests/runs/test_tracking.py
+	$(BIN)/pytest tests/runs/test_onnx.py tests/runs/test_tracking.py tests/runs/test_on_ray.py
 
 lint: setup
 	$(BIN)/ruff check $(SOURCES)

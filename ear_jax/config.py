@@ -274,3 +274,12 @@ def is_on(number: Any) -> bool:
 def flag(name: str) -> str:
     """Returns a setting's flag on the command line."""
     return "--" + name.replace("_", "-")
+
+
+def words_of(config: Config) -> list[str]:
+    """Returns the words that name every setting on the command line, the family first."""
+    words = [config.family]
+    for name, value in flat(config).items():
+        if name != "family" and value not in (None, ()):
+            words += [flag(name), *map(str, value if isinstance(value, tuple) else (value,))]
+    return words

@@ -5,18 +5,20 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from ear_jax.cli.arguments import parse
+from ear_jax.cli.arguments import check_least, parse
 from ear_jax.cli.exits import exit_code
-from ear_jax.errors import UsageError, unknown
+from ear_jax.errors import UsageError, known_name, unknown
+from ear_jax.process.stopping import stop_with_parent
 from ear_jax.process.terminal import say
 from experiments.inventory import is_trained, jobs, missing, side_by_side
 from experiments.paper import EXPERIMENTS
-from experiments.reproduce import complete, keep, plan
+from experiments.reproduce import complete_all, complete_on_ray, keep, plan
 
 PROGRAM = "python -m experiments"
 
@@ -36,7 +38,8 @@ class ReproduceCommand:
     """Run what is missing of a table or figure. The same command continues where it stopped.
 
     Several processes share the work: each takes runs that no other has started, as in `taskset -c 1 python -m
-    experiments reproduce table-1`, one for each core.
+    experiments reproduce table-1`, one for each core. Each ends when all runs are complete; it takes over those of
+    processes that were killed.
     """
 
     id: tyro.conf.Positional[str]
@@ -49,6 +52,12 @@ class ReproduceCommand:
     """Stop each run after this much wall time; by default after the preset's epochs."""
     together: bool = False
     """Train the missing seeds of a method side by side, as one run; on an accelerator this takes little more time."""
+    only: str | None = None
+    """One run of the table or figure, as in halfcheetah-vel-ear-fast-seed0."""
+    on: Literal["here", "ray"] = "here"
+    """Where to work: here, or each run as a task of a Ray cluster (pip install 'ear-jax[cluster]')."""
+    cores: int = 1
+    """Cores of each run on a Ray cluster without GPUs; with GPUs each run has one."""
     dry_run: bool = False
     """Only print the commands."""
 
@@ -85,17 +94,25 @@ def list_all(words: list[str]) -> None:
 def reproduce(words: list[str]) -> None:
     command = parse(ReproduceCommand, words, "reproduce", program=PROGRAM)
     check_seeds(command.seeds)
+    check_least(command, cores=1)
     if command.id not in EXPERIMENTS:
         raise unknown("table or figure", command.id, EXPERIMENTS)
     wanted = jobs(EXPERIMENTS[command.id], command.preset, command.seeds, command.minutes)
     wanted = side_by_side(wanted) if command.together else wanted
+    if command.only is not None:
+        named = {job.name: job for job in wanted}
+        wanted = [named[known_name("run", command.only, named)]]
     if command.dry_run:
         for line in (line for job in wanted for line in plan(job)):
             print(line)
         return
-    left = len(wanted) - sum(complete(job) for job in wanted)
-    message = f"{command.id} is complete: {len(wanted)} runs"
-    say(f"{command.id}: {left} of {len(wanted)} runs are left to other processes" if left else message)
+    if command.on == "ray":
+        given = {"--seeds": command.seeds, "--minutes": command.minutes}
+        options = [str(word) for name, value in given.items() if value is not None for word in (name, value)]
+        options += ["--together"] if command.together else []
+        complete_on_ray(wanted, ["reproduce", command.id, "--preset", command.preset, *options], command.cores)
+    complete_all(wanted)
+    say(f"{command.id} is complete: {len(wanted)} runs")
 
 
 def check_seeds(seeds: int | None) -> None:
@@ -126,6 +143,7 @@ COMMANDS = {"list": list_all, "reproduce": reproduce, "keep": keep_run, "report"
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
     words = sys.argv[1:] if arguments is None else arguments
+    stop_with_parent()
     return exit_code("experiments", lambda: _run(words))
 
 

@@ -10,20 +10,23 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import FrameType
 
 from ear_jax.config import from_dict, run_name
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.replacing import copy_file, lock_file
-from ear_jax.process.stopping import SIGNALS, Stopped
+from ear_jax.process.stopping import SIGNALS, Stopped, child_environment
 from ear_jax.process.terminal import say
-from ear_jax.runs import records
+from ear_jax.runs import on_ray, records
 from ear_jax.runs.lock import InUse, lock_directory
 from experiments import inventory
 from experiments.commands import IN_HAND, RUNS, analysis_words, export_words, is_copied, train_words
 from experiments.inventory import Job, is_complete, is_kept, missing
 from experiments.paper import Analysis
+
+PAUSE = 2.0  # seconds
 
 
 def plan(job: Job) -> list[str]:
@@ -50,7 +53,8 @@ def complete(job: Job) -> bool:
     if is_complete(job):
         return True
     try:
-        with lock_directory(RUNS / IN_HAND / job.name, lambda _: None):
+        with lock_directory(RUNS / IN_HAND / job.name, lambda _: None) as claim:
+            os.set_inheritable(claim, True)  # for the commands of `run_ear`: the claim outlives this process with them
             for line in plan(job):
                 say(line)
             if not is_kept(job):
@@ -59,9 +63,44 @@ def complete(job: Job) -> bool:
             for analysis in missing(job):
                 analyse(job, analysis)
     except InUse:
-        say(f"{job.name} is left to another process, which is working on it")
         return False
     return True
+
+
+def complete_all(jobs: list[Job]) -> None:
+    """Completes jobs; the last ones may be in the hands of other processes, and are taken over if these end.
+
+    Raises:
+      RunError, Stopped: as `run_ear`; finished steps stay, and the next call continues from there.
+    """
+    left = [job for job in jobs if not complete(job)]
+    if left:
+        say(f"waiting for other processes, which are working on {', '.join(job.name for job in left)}")
+    while left := [job for job in left if not complete(job)]:
+        pause()
+
+
+def complete_on_ray(jobs: list[Job], words: list[str], cores: int) -> None:
+    """Completes each job as a task of a Ray cluster; raises RunError if some fail.
+
+    Args:
+      jobs: those of a table or figure.
+      words: the command line of `python -m experiments` that means them.
+      cores: of each job.
+    """
+    tasks = [
+        on_ray.Job(job.name, ("experiments", *words, "--only", job.name), RUNS / job.name, job.config.epochs)
+        for job in jobs
+        if not is_complete(job)
+    ]
+    if tasks:
+        logs = RUNS / IN_HAND / "logs"
+        on_ray.check(on_ray.run_jobs(tasks, logs, cores), logs)
+
+
+def pause() -> None:
+    """Waits before it is looked again whether other processes are still working."""
+    time.sleep(PAUSE)
 
 
 def analyse(job: Job, analysis: Analysis) -> None:
@@ -124,11 +163,14 @@ def keep(run: Path, name: str | None = None, replace: bool = False) -> Path:
 def run_ear(words: list[str]) -> str:
     """Runs an `ear` command with its messages on our stderr, and returns its stdout.
 
+    If this process is killed, the command stops as by SIGTERM.
+
     Raises:
       Stopped: this process was asked to stop; the command was stopped too.
       RunError: the command failed.
     """
-    child = subprocess.Popen([sys.executable, "-m", "ear_jax.cli.main", *words], stdout=subprocess.PIPE, text=True)
+    line = [sys.executable, "-m", "ear_jax.cli.main", *words]
+    child = subprocess.Popen(line, stdout=subprocess.PIPE, text=True, env=child_environment(), close_fds=False)
 
     signals: list[int] = []
 

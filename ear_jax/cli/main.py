@@ -9,7 +9,7 @@ import sys
 import ear_jax
 from ear_jax.cli.exits import exit_code
 from ear_jax.errors import UsageError, hint, known_name
-from ear_jax.process.stopping import leave_on_interrupt
+from ear_jax.process.stopping import leave_on_interrupt, stop_with_parent
 from ear_jax.process.streams import starting
 
 # Module and summary of each; the module, imported only when it is called, has a function main(arguments).
@@ -67,6 +67,7 @@ def usage() -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Runs one command line and returns its exit code, as `exit_code` does."""
     words = sys.argv[1:] if arguments is None else arguments
+    stop_with_parent()
     with leave_on_interrupt():
         code = exit_code("ear", lambda: _run(*words) if words else print(usage()))
     return code if words else 2

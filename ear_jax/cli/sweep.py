@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from ear_jax.cli import train
-from ear_jax.cli.arguments import option
+from ear_jax.cli.arguments import check_least, option
 from ear_jax.cli.results import keep, print_table, show_and_keep
-from ear_jax.config import Config, flag, flat, run_name
+from ear_jax.config import Config, flag, flat, run_name, words_of
 from ear_jax.errors import UsageError, unknown
 from ear_jax.limits import check
 from ear_jax.presets import check_effect
+from ear_jax.process import hosts
+from ear_jax.process.hosts import Hosts
 from ear_jax.runs import sweep
+from ear_jax.runs.failure import reported
 from ear_jax.runs.groups import group
 from ear_jax.runs.groups import read as read_records
 
@@ -42,6 +45,11 @@ class SweepCommand:
     """A setting and its values."""
     out: Annotated[Path | None, option("DIRECTORY", "runs/FAMILY-AGENT-PRESET-seedN-sweep-SETTINGS")] = None
     """The sweep's directory."""
+    hosts: Hosts = field(default_factory=Hosts)
+    on: Literal["here", "ray"] = "here"
+    """Where to train: here, or each run as a task of a Ray cluster (pip install 'ear-jax[cluster]')."""
+    cores: int = 1
+    """Cores of each run on a Ray cluster without GPUs; with GPUs each run has one."""
     dry_run: bool = False
     """Print the runs, the memory they need and their speed on this machine, without training or writing."""
     json: bool = False
@@ -77,12 +85,32 @@ def main(words: list[str]) -> None:
     if command.dry_run:
         print_plan(groups, directory)
         return
-    sweep.begin(directory, command.config.family, {trial.name: trial.changes for trial in trials})
-    for members in groups:
-        train_runs([Run(trial.config, directory / trial.name) for trial in members])
+    plan = {trial.name: trial.changes for trial in trials}
+    with hosts.parting():
+        hosts.agree(lambda: sweep.begin(directory, command.config.family, plan))
+        if command.on == "ray":
+            train_on_ray(trials, directory, command.cores)
+        for members in groups if command.on == "here" else ():
+            train_runs([Run(trial.config, directory / trial.name) for trial in members])
+    if hosts.index() > 0:
+        return
     document = sweep.describe(directory)
     kept = partial(keep, directory, Path(sweep.NAME).stem, "", document, draw)
     show_and_keep(document, command.json, _print, kept)
+
+
+def train_on_ray(trials: Sequence[Trial], directory: Path, cores: int) -> None:
+    """Trains every trial as a task of a Ray cluster; raises RunError if some fail for want of something."""
+    from ear_jax.runs import on_ray
+
+    jobs = []
+    for trial in trials:
+        run = directory / trial.name
+        words = ("ear_jax.cli.main", "train", *words_of(trial.config), "--out", str(run))
+        jobs.append(on_ray.Job(trial.name, words, run, trial.config.epochs))
+    failed = on_ray.run_jobs(jobs, directory / "logs", cores)
+    unfinished = {name: reason for name, reason in failed.items() if not reported(directory / name)}
+    on_ray.check(unfinished, directory / "logs")
 
 
 def draw(figures: Path, document: dict[str, Any], label: str) -> list[Path]:
@@ -96,7 +124,10 @@ def draw(figures: Path, document: dict[str, Any], label: str) -> list[Path]:
 
 def read(words: list[str]) -> tuple[SweepCommand, list[Trial]]:
     """Parses the command line; each trial's settings are parsed as if the line had named its values."""
-    command = train.read(words, SweepCommand, "sweep")
+    command = train.read(words, SweepCommand, "sweep", train.meet)
+    check_least(command, cores=1)
+    if command.on == "ray" and command.hosts != Hosts():
+        raise UsageError("--on ray spreads runs over hosts by itself; leave out --hosts")
     rest = list(_without("--vary", words))
     if not command.vary:
         raise UsageError("name a setting to vary: ear sweep FAMILY --vary SETTING VALUE … (see `ear sweep --help`)")

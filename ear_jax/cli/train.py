@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,6 +21,7 @@ from ear_jax.limits import check
 from ear_jax.names import ENGINES, FAMILIES, METHODS, family_name
 from ear_jax.presets import check_effect, draft_config, parts, preset_config
 from ear_jax.process.environment import start_jax
+from ear_jax.process.hosts import Hosts, index, join, parting
 from ear_jax.process.streams import results_only
 from ear_jax.process.terminal import say, sign_of_life
 from ear_jax.runs import records
@@ -44,6 +45,7 @@ class TrainCommand:
     """Settings from a TOML file, such as `ear config` prints, or from a run's config.json; flags go over them."""
     out: Annotated[Path | None, option("DIRECTORY", "runs/FAMILY-AGENT-PRESET-seedN")] = None
     """The run directory."""
+    hosts: Hosts = field(default_factory=Hosts)
     dry_run: bool = False
     """Print the settings, the memory they need and their speed on this machine, without training or writing."""
 
@@ -58,24 +60,28 @@ class TrainCommand:
 
 
 def main(words: list[str]) -> None:
-    command = read(words)
+    command = read(words, before_jax=meet)
     check_effect(command.config)
     if command.dry_run:
         print_estimate(command.config, command.directory)
     else:
-        train(command.config, command.directory)
+        with parting():
+            train(command.config, command.directory)
 
 
 def train(config: Config, directory: Path) -> None:
-    """Trains a run, and tells at the end how it went and what can be done with it."""
+    """Trains a run, and tells at the end how it went and what can be done with it, by process 0 of several."""
     from ear_jax.process.stopping import Stopped
     from ear_jax.runs.loop import train_run
 
     try:
         train_run(config, directory)
     except Stopped:
-        draw_curves(directory)
+        if index() == 0:
+            draw_curves(directory)
         raise
+    if index() > 0:
+        return
     draw_curves(directory)
     rows = records.read_rows(directory / "metrics.jsonl", lambda _: None)  # the run itself has told of damage
     if not rows:
@@ -133,7 +139,23 @@ def print_cost(program: Program) -> None:
     )
 
 
-def read(words: list[str], kind: type[Any] = TrainCommand, name: str = "train") -> Any:
+def meet(command: Any) -> None:
+    """Joins the other processes of a run over several hosts; raises UsageError or RunError."""
+    if command.dry_run and command.hosts != Hosts():
+        raise UsageError("--dry-run estimates a run on one host; leave out --hosts and give the seeds of one")
+    join(command.hosts)
+
+
+def ignore(_: Any) -> None:
+    """Does nothing."""
+
+
+def read(
+    words: list[str],
+    kind: type[Any] = TrainCommand,
+    name: str = "train",
+    before_jax: Callable[[Any], None] = ignore,
+) -> Any:
     """Parses the command line, over the settings of the file, the preset and the agent that it names.
 
     Mistyped names, options and values are refused before JAX is imported, over a draft of these settings.
@@ -142,6 +164,7 @@ def read(words: list[str], kind: type[Any] = TrainCommand, name: str = "train") 
       words: the words after the subcommand.
       kind: the command's dataclass; it has `config`, which alone is required, and `check_place`.
       name: the subcommand.
+      before_jax: called with the command before JAX is imported, as far as it can be parsed until then.
     """
     file = _option(words, "--config", "")
     settings = read_settings(Path(file).expanduser()) if file else {}
@@ -160,6 +183,7 @@ def read(words: list[str], kind: type[Any] = TrainCommand, name: str = "train") 
         command = parse(kind, [family, *rest], name, kind(with_settings(draft, settings)))
         check(command.config)
         command.check_place()
+        before_jax(command)
     with sign_of_life("loading"):
         start_jax()
         base = preset_config(family, preset, agent)

@@ -14,6 +14,7 @@ from ear_jax.files.documents import KEY, parse, signed, verified
 Warn = Callable[[str], None]
 Keys = Mapping[str, type | tuple[type, ...]]  # name → type of the value
 NO_KEYS: Keys = {}
+LAST = 1 << 16  # bytes in which a last row is looked for
 
 
 def append_rows(path: Path, rows: list[dict[str, Any]]) -> str:
@@ -48,6 +49,18 @@ def read_rows(path: Path, warn: Warn | None = None, required: Keys = NO_KEYS) ->
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}") from None
     return [row for _, row in lines_of(text, path, warn, required) if row is not None]
+
+
+def last_row(path: Path) -> dict[str, Any] | None:
+    """Returns the last good row among a file's last bytes, for a view of a file that grows; None if there is none."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(0, os.fstat(file.fileno()).st_size - LAST))
+            text = file.read().decode(errors="replace")
+    except OSError:
+        return None
+    rows = [row for _, row in lines_of(text, path, lambda _: None) if row is not None]
+    return rows[-1] if rows else None
 
 
 def lines_of(

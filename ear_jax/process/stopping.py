@@ -6,6 +6,7 @@ They are Ctrl-C (SIGINT), SIGTERM, and SIGHUP, which a closed terminal sends. Be
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
 import signal
 import threading
@@ -15,6 +16,8 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SHOW_CURSOR = b"\x1b[?25h"  # the progress bar hides it
+PARENT = "EAR_JAX_PARENT"  # the variable that names the process with which another stops
+PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
 class Stopped(Exception):
@@ -91,6 +94,22 @@ def leave_on_interrupt() -> Iterator[None]:
         if threading.current_thread() is threading.main_thread():
             after.callback(signal.signal, signal.SIGINT, signal.signal(signal.SIGINT, _say_and_leave))
         yield
+
+
+def child_environment() -> dict[str, str]:
+    """Returns the environment of a command that should stop when this process ends, however it ends."""
+    return {**os.environ, PARENT: str(os.getpid())}
+
+
+def stop_with_parent() -> None:
+    """Makes the kernel send SIGTERM to this process when its parent ends, if that started it to be so."""
+    parent = os.environ.pop(PARENT, "")  # not for processes that this one starts
+    if not parent:
+        return
+    with contextlib.suppress(AttributeError):  # of another system than Linux
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    if str(os.getppid()) != parent:  # which ended before
+        _leave(signal.SIGTERM)
 
 
 def _say_and_leave(number: int, _: FrameType | None) -> None:

@@ -19,12 +19,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from ear_jax.errors import RunError
+from ear_jax.process import hosts
 from ear_jax.runs import manifest, records
 from ear_jax.runs.directory import FOLDER, steps
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
+from ear_jax.runs.seeds import own_members
 
 _default_unraisablehook = sys.unraisablehook
 
@@ -46,6 +49,14 @@ def _orbax() -> Any:
     logging.getLogger("absl").setLevel(logging.CRITICAL)  # Orbax logs every save; failures are also raised
     sys.unraisablehook = _ignore_closed_loop
     return orbax.checkpoint
+
+
+def _checkpointer(ocp: Any) -> Any:
+    """Returns what saves and restores; the processes of a run wait for each other through JAX's service."""
+    together = set(range(hosts.count())) if hosts.count() > 1 else None
+    options = ocp.options.MultiprocessingOptions(primary_host=0, active_processes=together)
+    handler = ocp.PyTreeCheckpointHandler(multiprocessing_options=options)
+    return ocp.Checkpointer(handler, multiprocessing_options=options)
 
 
 __all__ = ["FOLDER", "steps"]  # used as `checkpoint.…`
@@ -72,6 +83,8 @@ class Step:
 def save(directory: Path, epoch: int, state: Any, about: dict[str, Any], rows: str = "") -> None:
     """Writes a step atomically, then deletes the steps that need not be kept.
 
+    Of a run over several hosts each writes its seeds, and process 0 the rest.
+
     Args:
       directory: the run's `checkpoints`.
       epoch: the step's name.
@@ -82,24 +95,40 @@ def save(directory: Path, epoch: int, state: Any, about: dict[str, Any], rows: s
     Raises:
       RunError: the step could not be written; earlier steps are unchanged.
     """
-    final, scratch = directory / str(epoch), directory / f".{epoch}.part"
-    leaves = named_leaves(state)
+    scratch, leaves = directory / f".{epoch}.part", named_leaves(state)
+    document = {**about, "format": FORMAT, "epoch": epoch, "leaves": layout(leaves)}
     try:
-        clean(directory)
-        scratch.mkdir(parents=True)
+        hosts.agree(lambda: _begin(directory, scratch))
         ocp = _orbax()
-        with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as orbax:
+        with _checkpointer(ocp) as orbax:
             orbax.save((scratch / "state").absolute(), leaves)
-        document = {**about, "format": FORMAT, "epoch": epoch, "leaves": layout(leaves)}
-        records.write_json(scratch / "about.json", document)
-        if rows:
-            records.write_text(scratch / ROWS, rows)
-        manifest.write(scratch)
-        _remove(final)
-        os.replace(scratch, final)
+        hosts.agree(lambda: _end(scratch, directory / str(epoch), document, rows))
     except Exception as error:  # Orbax and TensorStore wrap disk errors in many types
-        shutil.rmtree(scratch, ignore_errors=True)
+        hosts.settle()
+        if hosts.index() == 0:
+            shutil.rmtree(scratch, ignore_errors=True)
         raise RunError(f"the checkpoint of epoch {epoch} could not be written: {_reason(error)}") from error
+    if hosts.index() == 0:
+        _remove_old(directory, epoch)
+
+
+def _begin(directory: Path, scratch: Path) -> None:
+    clean(directory)
+    scratch.mkdir(parents=True)
+
+
+def _end(scratch: Path, final: Path, document: dict[str, Any], rows: str) -> None:
+    """Completes a step whose arrays are written, and gives it its name."""
+    records.write_json(scratch / "about.json", document)
+    if rows:
+        records.write_text(scratch / ROWS, rows)
+    manifest.write(scratch)
+    _remove(final)
+    os.replace(scratch, final)
+
+
+def _remove_old(directory: Path, epoch: int) -> None:
+    """Deletes the steps that need not be kept after that of an epoch."""
     present = steps(directory)
     good = [step for step in present if step <= epoch]  # later steps are damaged, or the run would have resumed there
     for old in {*present} - {*kept(good)}:
@@ -176,16 +205,17 @@ def newest(
     return None
 
 
-def restore(step: Step, like: Any, partly: bool = False) -> Any:
+def restore(step: Step, like: Any, partly: bool = False, sharding: jax.sharding.Sharding | None = None) -> Any:
     """Reads a step's state.
 
     Args:
       step: the step to read.
       like: the state's structure, of arrays or their shapes.
       partly: allow `like` to lack parts of the saved state, which are then not read.
+      sharding: of all leaves over the devices of several hosts; each host reads its part.
 
     Returns:
-      The state, on JAX's default device.
+      The state, on JAX's default device or as `sharding` says.
 
     Raises:
       RunError: the saved state has another structure, has counters that make no sense, or cannot be read.
@@ -195,14 +225,16 @@ def restore(step: Step, like: Any, partly: bool = False) -> Any:
     if difference:
         raise RunError(f"{step.path} does not fit this run: {difference}")
     ocp = _orbax()
-    arguments = {name: ocp.RestoreArgs(restore_type=np.ndarray) for name in wanted}
+    whole, parts = ocp.RestoreArgs(restore_type=np.ndarray), ocp.ArrayRestoreArgs(sharding=sharding)
+    arguments = dict.fromkeys(wanted, parts if sharding else whole)
     request = ocp.args.PyTreeRestore(item=wanted, restore_args=arguments, partial_restore=partly)
     try:
-        with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as orbax:
+        with _checkpointer(ocp) as orbax:
             arrays = orbax.restore((step.path / "state").absolute(), request)
     except Exception as error:
+        hosts.settle()
         raise RunError(f"{step.path} cannot be read: {_reason(error)}") from error
-    _check_counters(step, arrays)
+    _check_counters(step, own_members(arrays))
     return rebuild(like, arrays)
 
 

@@ -12,10 +12,11 @@ import numpy as np
 from ear_jax.config import Config
 from ear_jax.learning.episodes import Episodes
 from ear_jax.learning.sac import CRITICS
+from ear_jax.process import hosts
 from ear_jax.process.precision import product
 from ear_jax.runs import records, training
 from ear_jax.runs.seeds import seed_range
-from ear_jax.runs.training import Program, TrainState
+from ear_jax.runs.training import Program
 
 
 def header(program: Program, place: str | Path) -> str:
@@ -24,10 +25,11 @@ def header(program: Program, place: str | Path) -> str:
     counts = program.agent.parameter_counts
     products = product(config.network.matmul)
     rounded = "" if products == "float32" else f" in {products}"
+    over = f" on {hosts.count()} hosts" if hosts.count() > 1 else ""
     critics = f", {CRITICS} critics of {counts['critic']:,}" if counts["critic"] else ""
     return (
         f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · "
-        f"{seed_range(config)} · policy of {counts['policy']:,} parameters{critics} · "
+        f"{seed_range(config)}{over} · policy of {counts['policy']:,} parameters{critics} · "
         f"engine {program.family.engine.name} on {jax.default_backend()}{rounded} · {place}"
     )
 
@@ -55,21 +57,33 @@ def differences(document: dict[str, Any], program: Program) -> list[str]:
 
 
 def rows_of(
-    program: Program, state: TrainState, seconds: float, metrics: list[training.Metrics], episodes: Episodes
+    program: Program,
+    collected: np.ndarray,
+    epoch: int,
+    seconds: float,
+    metrics: list[training.Metrics],
+    episodes: Episodes,
 ) -> list[dict[str, Any]]:
-    """Builds one row per member: means of metrics over the block's epochs, and evaluated returns by task."""
+    """Builds one row per member: means of metrics over the block's epochs, and evaluated returns by task.
+
+    Args:
+      program: of the members.
+      collected: epochs of collection of each member, [members]; all have the same number.
+      epoch, seconds: at the end of the block.
+      metrics: of each epoch, [members].
+      episodes: of the evaluation, [members, tasks, episodes].
+    """
     returns = episodes.returns.mean(axis=-1)  # [members, tasks]
     means = jax.tree.map(lambda *epochs: np.mean(epochs, axis=0), *metrics)  # each [members]
-    epoch = int(state.epoch[0])
     return [
         {
             "epoch": epoch,
-            "env_steps": program.env_steps(int(state.collected[0])),
+            "env_steps": program.env_steps(int(collected[0])),
             "updates": epoch * program.config.sac.updates,
             "seconds": round(seconds, 3),
-            "mean_return": float(returns[index].mean()),
-            "returns": dict(zip(program.tasks.names, returns[index].tolist(), strict=True)),
+            "mean_return": float(of_member.mean()),
+            "returns": dict(zip(program.tasks.names, of_member.tolist(), strict=True)),
             **{name: float(value[index]) for name, value in means.items()},
         }
-        for index in range(program.config.seeds)
+        for index, of_member in enumerate(returns)
     ]

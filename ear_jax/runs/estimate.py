@@ -15,7 +15,7 @@ from ear_jax.config import Config
 from ear_jax.errors import RunError
 from ear_jax.learning.episodes import Episodes
 from ear_jax.methods import find_method
-from ear_jax.process import runtime
+from ear_jax.process import hosts, runtime
 from ear_jax.process.memory import Room, available
 from ear_jax.process.terminal import phase
 from ear_jax.runs import training
@@ -58,10 +58,11 @@ class Times:
 
 
 def memory(program: Program) -> Memory:
-    """Returns the memory that a run will take beside what this process has, without allocating it."""
+    """Returns the memory that a run will take on this host beside what this process has, without allocating it."""
+    rooms = available(devices_for(program.config.seeds))
+    program = replace(program, config=replace(program.config, seeds=program.config.seeds // hosts.count()))
     state = jax.eval_shape(lambda: jax.vmap(partial(training.init, program))(training.seed_keys(program.config)))
     replay, learner, whole = (runtime.tree_bytes(part) for part in (state.replay, state.learner, state))
-    rooms = available(devices_for(program.config.seeds))
     sizes = (replay, learner, whole, epoch_bytes(program))
     needed = [Memory(*sizes, *_beside(whole, room), room) for room in rooms]
     return min(needed, key=_spare, default=Memory(*sizes, *_beside(whole, None), None))

@@ -18,9 +18,10 @@ def named_leaves(tree: Any) -> Leaves:
     return {jax.tree_util.keystr(path, simple=True, separator="."): _without_key(leaf) for path, leaf in paths}
 
 
-def rebuild(like: Any, leaves: Mapping[str, np.ndarray]) -> Any:
-    """Builds a pytree of `like`'s structure from named leaves, on JAX's default device."""
-    arrays = [jax.device_put(np.asarray(leaves[name])) for name in named_leaves(like)]
+def rebuild(like: Any, leaves: Mapping[str, np.ndarray | jax.Array]) -> Any:
+    """Builds a pytree of `like`'s structure from named leaves; arrays of NumPy go to JAX's default device."""
+    found = [leaves[name] for name in named_leaves(like)]
+    arrays = [leaf if isinstance(leaf, jax.Array) else jax.device_put(np.asarray(leaf)) for leaf in found]
     templates, structure = jax.tree.flatten(like)
     pairs = zip(templates, arrays, strict=True)
     new = [jax.random.wrap_key_data(array) if _is_key(template) else array for template, array in pairs]

@@ -20,11 +20,13 @@ class InUse(RunError):
 
 
 @contextmanager
-def lock_directory(directory: Path, announce: Callable[[str], None]) -> Iterator[None]:
+def lock_directory(directory: Path, announce: Callable[[str], None]) -> Iterator[int]:
     """A context that creates a run's directory and keeps other processes out of it.
 
     The kernel holds the lock (flock) and releases it however the process ends; the file only names the holder. A name
     left in the file is that of a process that was killed. It is announced and otherwise ignored.
+
+    Yields the lock's descriptor: a process that inherits it keeps the directory, should this one be killed before.
 
     Args:
       directory: the run's.
@@ -46,7 +48,7 @@ def lock_directory(directory: Path, announce: Callable[[str], None]) -> Iterator
             announce(f"{killed}, which used {directory} before, was killed; ignoring its lock")
         _write_holder(lock, f"process {os.getpid()} on {socket.gethostname()}")
         try:
-            yield
+            yield lock
         finally:
             _write_holder(lock, "")
     finally:

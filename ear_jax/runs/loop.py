@@ -6,11 +6,11 @@ program's leading axis are the seeds of all runs, run by run.
 
 from __future__ import annotations
 
-import secrets
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,48 +21,26 @@ import numpy as np
 from ear_jax.config import Config
 from ear_jax.errors import RunError
 from ear_jax.limits import check
+from ear_jax.process import hosts
 from ear_jax.process.stopping import Stopped, StopRequest
 from ear_jax.process.terminal import TrainingBar, phase, say
 from ear_jax.runs import checkpoint, records, training
-from ear_jax.runs.checkpoint import Step
 from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
-from ear_jax.runs.directory import check_place, check_settings, check_tasks
-from ear_jax.runs.documents import about, differences, header, rows_of
+from ear_jax.runs.directory import check_place
+from ear_jax.runs.documents import differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
 from ear_jax.runs.failure import find_failure, reported
 from ear_jax.runs.fastest import with_engine
-from ear_jax.runs.history import FIRST, LOG, History, note_first_step, read_history, write_history
+from ear_jax.runs.history import LOG, note_first_step, write_history
 from ear_jax.runs.lock import lock_directory
 from ear_jax.runs.on_host import collects_on_host, compile_on_host
-from ear_jax.runs.seeds import seed_sharding
-from ear_jax.runs.side_by_side import differing, join, members, of_run
+from ear_jax.runs.seeds import check_seeds, own_members, seed_sharding
+from ear_jax.runs.side_by_side import differing, join, keys_of, members, of_run, over_hosts
+from ear_jax.runs.starting_point import Progress, Run, agreed, ignore, prepare, reached
 from ear_jax.runs.tracking import tracking
 from ear_jax.runs.training import Program, TrainState
 
-
-@dataclass(frozen=True)
-class Run:
-    """A run to train."""
-
-    config: Config
-    directory: Path
-    about: dict[str, Any] = field(default_factory=dict)  # the document of its config.json and checkpoints
-    track: Callable[[list[dict[str, Any]]], None] = lambda _: None  # copies rows of metrics elsewhere
-    rows: list[str] = field(default_factory=list)  # lines of its metrics.jsonl, to which training adds
-
-
-@dataclass(frozen=True)
-class Progress:
-    """The point that runs training side by side have reached."""
-
-    histories: list[History]  # of each run
-    steps: list[Step]  # of each run, of one epoch; empty before the first
-    epoch: int
-
-    @property
-    def seconds(self) -> float:
-        """The seconds trained until then."""
-        return max(history.seconds for history in self.histories) if self.steps else 0.0
+__all__ = ["Run", "train_run", "train_runs"]
 
 
 def train_run(config: Config, directory: Path) -> None:
@@ -91,28 +69,23 @@ def train_runs(runs: Sequence[Run]) -> None:
     for run in runs:
         check(run.config)
         check_place(run.directory)
-    program = training.make_program(with_engine(members([run.config for run in runs]), say))
+    program = _program([run.config for run in runs])
     on_host = collects_on_host(program)
-    progress = _progress(runs, program, say)
+    progress = agreed(lambda: reached(runs, program, say))
     if progress.steps and _finished(program.config, progress.epoch, progress.seconds):
         done = f"{progress.epoch} epochs, {progress.seconds / 60:.1f} minutes"
         say(f"{_place(runs)} is finished: {done} (raise --epochs or --minutes for more)")
-        for run, history in zip(runs, progress.histories, strict=True):
+        for run, history in zip(runs, progress.histories, strict=False):
             if history.damaged:
                 with lock_directory(run.directory, say):
                     write_history(run.directory, history.settings, history.rows)
         return
     check_memory(program)
     with ExitStack() as held:
-        for run in runs:
-            held.enter_context(lock_directory(run.directory, say))
         request = held.enter_context(StopRequest(say))
-        progress = _progress(runs, program, _ignore)  # another process may have trained meanwhile
-        started = bool(progress.steps)
-        runs = [_prepare(run, program, past, started) for run, past in zip(runs, progress.histories, strict=True)]
-        runs = [replace(run, track=held.enter_context(tracking(run.directory, run.config, say))) for run in runs]
+        runs, progress = _open(runs, program, held)
         say(header(replace(program, config=runs[0].config), _place(runs)))
-        keys = jnp.concatenate([training.seed_keys(run.config) for run in runs])
+        keys = keys_of([run.config for run in runs])
         with phase("compiling"):
             compiling = compile_on_host if on_host else compile_program
             compiled = compiling(program, keys, differing([run.config for run in runs]))
@@ -122,56 +95,34 @@ def train_runs(runs: Sequence[Run]) -> None:
         )
 
 
+def _program(configs: Sequence[Config]) -> Program:
+    """Returns the program that trains runs side by side."""
+    config = members(configs)
+    check_seeds(config.seeds)
+    return training.make_program(config if hosts.count() > 1 else with_engine(config, say))
+
+
+def _open(runs: Sequence[Run], program: Program, held: ExitStack) -> tuple[list[Run], Progress]:
+    """Locks and prepares the directories of runs; returns the runs with their past, and the point they have reached."""
+    opened = list(runs)
+
+    def find() -> Progress:
+        for run in runs:
+            held.enter_context(lock_directory(run.directory, say))
+        progress = reached(runs, program, ignore)  # another process may have trained meanwhile
+        started = bool(progress.steps)
+        for index, (run, past) in enumerate(zip(runs, progress.histories, strict=True)):
+            run = prepare(run, program, past, started)
+            opened[index] = replace(run, track=held.enter_context(tracking(run.directory, run.config, say)))
+        return progress
+
+    return opened, agreed(find)
+
+
 def _place(runs: Sequence[Run]) -> str:
     """Names where runs are."""
     first = runs[0].directory
     return str(first) if len(runs) == 1 else f"{first.parent} ({len(runs)} runs side by side)"
-
-
-def _prepare(run: Run, program: Program, history: History, started: bool) -> Run:
-    """Writes what the run's directory should hold before it trains on, and returns the run with its past.
-
-    For a continued run config.json keeps what it tells of the start, and gets the settings, which may name more epochs.
-    """
-    document, past = about(program, run.config), history.settings
-    document["run"] = past.get("run") or secrets.token_hex(8)
-    first = past.get(FIRST) or history.step.epoch if started and history.step else None
-    rows = history.rows if started else ""
-    checkpoint.clean(run.directory / checkpoint.FOLDER)
-    write_history(run.directory, {**document, **past, "config": document["config"], FIRST: first}, rows)
-    return replace(run, about=document, rows=[rows])
-
-
-def _check_first_save(runs: Sequence[Run]) -> None:
-    """Raises RunError if runs have trained past the first save, and one of them has lost its checkpoints."""
-    saved = [(len(checkpoint.steps(run.directory / "checkpoints")), run.directory) for run in runs]
-    if max(saved)[0] > 1:
-        raise RunError(f"{min(saved)[1]} has no checkpoints, unlike {max(saved)[1]} that trained beside it")
-
-
-def _ignore(_: str) -> None:
-    """Says nothing."""
-
-
-def _progress(runs: Sequence[Run], program: Program, warn: Callable[[str], None]) -> Progress:
-    """Returns the newest good step of each run at the newest epoch of which all have one."""
-    steps, until = [], None
-    while True:
-        histories = [read_history(run.directory, warn, until) for run in runs]
-        warn = _ignore  # the same damage again
-        steps = [history.step for history in histories if history.step]
-        until = min((step.epoch for step in steps), default=0)
-        if len(steps) < len(runs) or all(step.epoch == until for step in steps):
-            break
-    if len(steps) < len(runs):
-        _check_first_save(runs)
-        steps, until = [], 0
-    for run, history in zip(runs, histories, strict=True):
-        if history.settings:
-            _check_same(run.directory, history.settings, run.config, program)
-    for run, step in zip(runs, steps, strict=False):
-        _check_same(step.path, step.about, run.config, program)
-    return Progress(histories, steps, until)
 
 
 def _begin(program: Program, compiled: Compiled, keys: jax.Array) -> TrainState:
@@ -186,22 +137,25 @@ def _restore(program: Program, compiled: Compiled, keys: jax.Array, progress: Pr
         say(f"warning: {line}: results may differ in the last bit")
     saved = all(step.about["replay"] for step in steps)
     like = compiled.state if saved else compiled.state.without_replay
+    sharding = seed_sharding(len(keys))
     with phase(f"restoring epoch {epoch}"):
         state: TrainState = join(
-            [checkpoint.restore(step, of_run(like, index, len(steps))) for index, step in enumerate(steps)]
+            [
+                checkpoint.restore(step, of_run(like, index, len(steps)), sharding=over_hosts(len(keys) // len(steps)))
+                for index, step in enumerate(steps)
+            ],
+            sharding,
         )
         if saved:
-            state = jax.device_put(state, seed_sharding(len(keys)))
             return state
     epochs = program.config.collect.pretrain_epochs
     say(
         f"warning: epoch {epoch} was saved without its replay; {epochs} epochs of collection "
         f"({program.env_steps(epochs):,} env steps per seed) refill it, so results will differ from an unbroken run"
     )
-    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), compiled.state.replay)
+    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype, device=sharding), compiled.state.replay)
     with phase("collecting with the current policy"):
-        state = jax.device_put(replace(state, replay=empty), seed_sharding(len(keys)))
-        return fill_replay(compiled, state, epochs)
+        return fill_replay(compiled, replace(state, replay=empty), epochs)
 
 
 def _train_blocks(
@@ -215,10 +169,8 @@ def _train_blocks(
 ) -> None:
     """Trains block by block until the end or a stop; each block is evaluated, recorded and maybe saved."""
     config = program.config
-    epoch, blocks = int(state.epoch[0]), 0
-    last = _finished(config, epoch, clock()) or request.signal is not None
-    if last and request.signal is None and epoch < config.epochs:
-        raise RunError(f"--minutes {config.minutes:g} ran out before training started; raise it to continue")
+    epoch, blocks = int(own_members(state.epoch)[0]), 0
+    last, signal = hosts.agree(lambda: _before_training(config, epoch, clock(), request.signal))
     with TrainingBar(epoch, config.epochs) as bar:
         while not last:
             block_began = time.perf_counter()
@@ -226,27 +178,61 @@ def _train_blocks(
             state, metrics = train_epochs(compiled, state, count)
             epoch, blocks = epoch + count, blocks + 1
             episodes = compiled.evaluate(state.learner.policy, training.evaluation_keys(keys, epoch))
-            metrics, episodes = jax.device_get((metrics, episodes))  # waits for the device, once per block
+            metrics, episodes = own_members((metrics, episodes))  # waits for the device, once per block
             block_seconds = time.perf_counter() - block_began
-            finite = sum(epoch_metrics.pop("finite_updates") for epoch_metrics in metrics)  # [members, tasks]
-            rows = rows_of(program, state, clock(), metrics, episodes)
-            for index, run in enumerate(runs):
-                own = slice(index * run.config.seeds, (index + 1) * run.config.seeds)
-                named = [{"seed": run.config.seed + number, **row} for number, row in enumerate(rows[own])]
-                _record(run, named, finite[own], (epoch - count) * config.sac.updates, alone=len(runs) == 1)
-            if all(reported(run.directory) for run in runs):
-                raise RunError("all runs failed")
-            last = _finished(config, epoch, clock()) or request.signal is not None
+            finite = sum(epoch_metrics.pop("finite_updates") for epoch_metrics in metrics)  # [own members, tasks]
+            rows = rows_of(program, own_members(state.collected), epoch, clock(), metrics, episodes)
+            of_hosts = hosts.gather([rows, finite.tolist(), request.signal])
+            last, signal = hosts.agree(partial(_close_block, runs, config, of_hosts, epoch - count, clock, request))
             if last or blocks % config.checkpoint.blocks == 0:
                 for index, run in enumerate(runs):
-                    _save(run, of_run(state, index, len(runs)), last)
+                    _save(run, of_run(state, index, len(runs)), epoch, last)
             steps, updates = count * program.env_steps_per_epoch, count * config.sac.updates
             mean_return = float(np.mean(episodes.returns))
             steps_rate, updates_rate = (config.seeds * number / block_seconds for number in (steps, updates))
             bar.update(epoch, mean_return, steps_rate, updates_rate)
-    if request.signal is not None:
+    if signal is not None:
         say(f"stopped at epoch {epoch}; the same command continues")
-        raise Stopped(request.signal)
+        raise Stopped(signal)
+
+
+def _before_training(config: Config, epoch: int, seconds: float, signal: int | None) -> tuple[bool, int | None]:
+    """Returns whether there is nothing to train, and the signal that stopped it before it began."""
+    last = _finished(config, epoch, seconds) or signal is not None
+    if last and signal is None and epoch < config.epochs:
+        raise RunError(f"--minutes {config.minutes:g} ran out before training started; raise it to continue")
+    return last, signal
+
+
+def _close_block(
+    runs: Sequence[Run],
+    config: Config,
+    of_hosts: list[list[Any]],
+    before: int,
+    clock: Callable[[], float],
+    request: StopRequest,
+) -> tuple[bool, int | None]:
+    """Records a block's rows, by process 0; returns whether it is the last block, and the signal that makes it so.
+
+    Args:
+      runs: the runs side by side.
+      config: of their program.
+      of_hosts: rows, counts of finite updates [members, tasks] and signal of each host.
+      before: the epochs before the block.
+      clock: returns the seconds trained.
+      request: the signal of this process.
+    """
+    rows = [row for of_host in of_hosts for row in of_host[0]]
+    finite = np.array([counts for of_host in of_hosts for counts in of_host[1]])
+    for index, run in enumerate(runs):
+        own = slice(index * run.config.seeds, (index + 1) * run.config.seeds)
+        named = [{"seed": run.config.seed + number, **row} for number, row in enumerate(rows[own])]
+        _record(run, named, finite[own], before * config.sac.updates, alone=len(runs) == 1)
+    if all(reported(run.directory) for run in runs):
+        raise RunError("all runs failed")
+    signals = [request.signal, *(of_host[2] for of_host in of_hosts)]
+    signal = next((number for number in signals if number is not None), None)
+    return _finished(config, rows[0]["epoch"], clock()) or signal is not None, signal
 
 
 def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: int, alone: bool) -> None:
@@ -263,22 +249,20 @@ def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: in
         run.track(rows)
 
 
-def _save(run: Run, state: TrainState, last: bool) -> None:
-    """Saves a step; a failure ends the run only at its last step, as a full disk may have room again by the next."""
-    kept, epoch = state if run.about["replay"] else state.without_replay, int(state.epoch[0])
+def _save(run: Run, state: TrainState, epoch: int, last: bool) -> None:
+    """Saves a step; a failure ends the run only at its last step, as a full disk may have room again by the next.
+
+    A failure ends a run over several hosts at once, as it may be that of one host.
+    """
+    kept = state if run.config.checkpoint.replay else state.without_replay
     try:
         checkpoint.save(run.directory / checkpoint.FOLDER, epoch, kept, run.about, "".join(run.rows))
-        note_first_step(run.directory, epoch)
+        hosts.agree(lambda: note_first_step(run.directory, epoch))
     except RunError as error:
-        if last:
+        if last or hosts.count() > 1:
             raise RunError(f"{error}; the same command continues from the previous checkpoint") from error
         say(f"warning: {error}; training continues")
 
 
 def _finished(config: Config, epoch: int, seconds: float) -> bool:
     return epoch >= config.epochs or (config.minutes is not None and seconds >= 60 * config.minutes)
-
-
-def _check_same(holder: Path, document: dict[str, Any], config: Config, program: Program) -> None:
-    check_settings(holder, document, config)
-    check_tasks(holder, document, program.tasks)

@@ -21,6 +21,7 @@ from ear_jax.envs.batched_env import EnvState, Transition
 from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import Episodes
 from ear_jax.learning.sac import SacLearner
+from ear_jax.process import hosts
 from ear_jax.process.runtime import compiler_options
 from ear_jax.process.target import on_accelerator, tracing_for
 from ear_jax.runs import training
@@ -42,9 +43,11 @@ def collects_on_host(program: Program) -> bool:
     """Returns whether a run's environments step on the host while another device, or the same later, learns.
 
     Raises:
-      UsageError: `collect.overlap` is set and nothing can overlap.
+      UsageError: `collect.overlap` is set and nothing can overlap, or several hosts would have to.
     """
     native, overlap = program.family.engine.name == "native", program.config.collect.overlap
+    if native and hosts.count() > 1 and (overlap or on_accelerator()):
+        raise UsageError("a run over several hosts collects where it learns: --engine mjx, no --collect.overlap")
     if native and program.learner.on_policy and on_accelerator():
         raise UsageError(f"--engine native cannot train agent {program.config.agent} on an accelerator; use mjx")
     if overlap and (not native or program.learner.on_policy):

@@ -1,4 +1,4 @@
-"""One program for several seeds: vmapped on a device, and sharded over several devices."""
+"""One program for several seeds: vmapped on a device, and sharded over several devices, also of several hosts."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
+import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from ear_jax.config import Config
+from ear_jax.errors import UsageError
+from ear_jax.process import hosts
 from ear_jax.process.runtime import compiler_options
 
 AXIS = "seeds"
@@ -19,15 +22,40 @@ def seed_range(config: Config) -> str:
     return f"seed {config.seed}" if config.seeds == 1 else f"seeds {config.seed}–{config.seed + config.seeds - 1}"
 
 
+def check_seeds(seeds: int) -> None:
+    """Raises UsageError unless the seeds of a program can be spread evenly over hosts."""
+    if seeds % hosts.count():
+        raise UsageError(
+            f"{seeds} seeds cannot be spread evenly over {hosts.count()} hosts; their number must be a multiple of it"
+        )
+
+
 def devices_for(seeds: int) -> int:
-    """Returns the largest number of devices that divides the seeds evenly."""
-    return max(count for count in range(1, jax.local_device_count() + 1) if seeds % count == 0)
+    """Returns the largest number of a host's devices that divides its share of the seeds evenly."""
+    share = seeds // hosts.count()
+    return max(count for count in range(1, jax.local_device_count() + 1) if share % count == 0)
 
 
 def seed_sharding(seeds: int) -> NamedSharding:
-    """Returns the sharding of leaves [seeds, …] over devices."""
-    mesh = Mesh(jax.local_devices()[: devices_for(seeds)], (AXIS,))
-    return NamedSharding(mesh, PartitionSpec(AXIS))
+    """Returns the sharding of leaves [seeds, …] over devices: each host has its seeds, in the order of its index."""
+    used = devices_for(seeds)
+    of_hosts = ([device for device in jax.devices() if device.process_index == host] for host in range(hosts.count()))
+    devices = [device for of_host in of_hosts for device in of_host[:used]]
+    return NamedSharding(Mesh(devices, (AXIS,)), PartitionSpec(AXIS))
+
+
+def own_members(tree: Any) -> Any:
+    """Returns this host's seeds of a pytree with leaves [seeds, …], as arrays of NumPy."""
+    if hosts.count() == 1:
+        return jax.device_get(tree)
+    leaves, structure = jax.tree.flatten(tree)
+    parts = [[shard.data for shard in sorted(leaf.addressable_shards, key=_first)] for leaf in leaves]
+    return jax.tree.unflatten(structure, [np.concatenate(part) for part in jax.device_get(parts)])
+
+
+def _first(shard: jax.Shard) -> int:
+    """Returns the first of the seeds that a shard holds."""
+    return shard.index[0].start or 0
 
 
 def over_seeds(
@@ -51,7 +79,7 @@ def over_seeds(
     """
     mapped, sharding = jax.vmap(function, in_axes), seed_sharding(seeds)
     options["compiler_options"] = compiler_options(matmul)
-    if devices_for(seeds) == 1:
+    if sharding.num_devices == 1:
         return jax.jit(mapped, **options)
     replicated = NamedSharding(sharding.mesh, PartitionSpec())
     in_shardings = tuple(replicated if axis is None else sharding for axis in in_axes)

@@ -9,8 +9,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import NamedSharding, PartitionSpec
 
 from ear_jax.config import Config, flat, is_on
+from ear_jax.process import hosts
+from ear_jax.runs.seeds import seed_sharding
+from ear_jax.runs.training import seed_keys
 
 # Settings that nothing but the equations reads. At 0, those in OFF_AT_ZERO leave a part of the program out.
 NUMBERS = (
@@ -38,6 +42,28 @@ def members(configs: Sequence[Config]) -> Config:
     return replace(configs[0], seeds=sum(config.seeds for config in configs))
 
 
+def keys_of(configs: Sequence[Config]) -> jax.Array:
+    """Returns the initial keys of the seeds of all runs, [members]."""
+
+    def keys() -> jax.Array:
+        return jnp.concatenate([seed_keys(config) for config in configs])
+
+    seeds = sum(config.seeds for config in configs)
+    return keys() if hosts.count() == 1 else jax.jit(keys, out_shardings=seed_sharding(seeds))()
+
+
+def over_hosts(seeds: int) -> NamedSharding | None:
+    """Returns the sharding of one run's leaves [seeds, …] over hosts; None on one host.
+
+    Seeds that cannot be spread evenly are on every device.
+    """
+    if hosts.count() == 1:
+        return None
+    if seeds % hosts.count() == 0:
+        return seed_sharding(seeds)
+    return NamedSharding(seed_sharding(hosts.count()).mesh, PartitionSpec())
+
+
 def of_run(tree: Any, index: int, runs: int) -> Any:
     """Returns one run's members of a pytree with leaves [members, …], which are arrays or shapes."""
     if runs == 1:
@@ -47,14 +73,22 @@ def of_run(tree: Any, index: int, runs: int) -> Any:
         seeds = leaf.shape[0] // runs
         if isinstance(leaf, jax.ShapeDtypeStruct):
             return leaf.update(shape=(seeds, *leaf.shape[1:]), sharding=None)
-        return leaf[index * seeds : (index + 1) * seeds]
+        sharding, part = over_hosts(seeds), slice(index * seeds, (index + 1) * seeds)
+        return leaf[part] if sharding is None else jax.jit(lambda leaf: leaf[part], out_shardings=sharding)(leaf)
 
     return jax.tree.map(own, tree)
 
 
-def join(trees: Sequence[Any]) -> Any:
-    """Joins the members of runs; the opposite of `of_run`."""
-    return trees[0] if len(trees) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *trees)
+def join(trees: Sequence[Any], sharding: NamedSharding) -> Any:
+    """Joins the members of runs, the opposite of `of_run`, and spreads them over devices."""
+
+    def concatenate(*leaves: jax.Array) -> jax.Array:
+        return jnp.concatenate(leaves)
+
+    if hosts.count() > 1:
+        concatenate = jax.jit(concatenate, out_shardings=sharding)
+    joined = trees[0] if len(trees) == 1 else jax.tree.map(concatenate, *trees)
+    return joined if hosts.count() > 1 else jax.device_put(joined, sharding)
 
 
 def programs(configs: Sequence[Config]) -> list[list[int]]:

@@ -25,7 +25,9 @@ def test_a_mark_is_passed_by_three_evaluations_in_a_row():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["physics", "update", "matmul", "chunk", "startup", "adaptation", "saving", "sweep"])
+@pytest.mark.parametrize(
+    "name", ["physics", "update", "matmul", "chunk", "startup", "adaptation", "saving", "sweep", "scale"]
+)
 def test_a_benchmark_runs_in_small(name, tmp_path):
     words = [sys.executable, "-m", f"benchmarks.{name}", "--quick", "--results", str(tmp_path)]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=900)

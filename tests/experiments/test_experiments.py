@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import os
@@ -97,20 +98,24 @@ def test_a_run_whose_flags_make_a_variant_counts_as_that(workplace):
     assert is_trained(job)
 
 
-def test_several_processes_share_a_table(workplace, capsys):
-    theirs = "ant-dir-ear-fast-seed0"
-    with lock_directory(reproduce.RUNS / reproduce.IN_HAND / theirs, pytest.fail):
-        assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    said = capsys.readouterr().err
-    assert f"{theirs} is left to another process, which is working on it" in said
-    assert "table-8: 1 of 2 runs are left to other processes" in said
-    assert len(workplace) == 3
-    assert all("+no-noise" in line for line in workplace)
-    workplace.clear()
+def test_several_processes_share_a_table(workplace, capsys, monkeypatch):
+    theirs, other = "ant-dir-ear-fast-seed0", contextlib.ExitStack()
+    claim = other.enter_context(lock_directory(reproduce.RUNS / reproduce.IN_HAND / theirs, pytest.fail))
+    assert not os.get_inheritable(claim)
+    begun = []
+
+    def pause() -> None:  # and the other process ends without having done anything
+        begun[:] = workplace
+        other.close()
+
+    monkeypatch.setattr(reproduce, "pause", pause)
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    assert len(workplace) == 3
-    assert not any("+no-noise" in line for line in workplace)
-    assert "table-8 is complete: 2 runs" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"waiting for other processes, which are working on {theirs}" in said
+    assert said.endswith("table-8 is complete: 2 runs\n")
+    assert (len(begun), len(workplace)) == (3, 6)
+    assert all("+no-noise" in line for line in begun)
+    assert not any("+no-noise" in line for line in workplace[3:])
 
 
 def test_a_record_is_analysed_where_its_run_is_not(workplace, tmp_path):

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 import pytest
 
-from ear_jax.config import CheckpointConfig, Config, flat
+from ear_jax.config import CheckpointConfig, Config, words_of
 from ear_jax.presets import preset_config
-from ear_jax.runs import checkpoint, training
+from ear_jax.runs import checkpoint, records, training
 from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
 from ear_jax.runs.leaves import named_leaves
 from ear_jax.runs.training import Program, make_program, seed_keys
@@ -60,11 +60,7 @@ def compile_once(program: Program, keys: jax.Array, numbers: Mapping[str, np.nda
 
 def words(config: Config) -> list[str]:
     """Returns the command line of a configuration, with every setting named."""
-    settings = {name: value for name, value in flat(config).items() if value is not None and name != "family"}
-    line = ["train", config.family]
-    for name, value in settings.items():
-        line += [f"--{name.replace('_', '-')}", *map(str, value if isinstance(value, tuple) else (value,))]
-    return line
+    return ["train", *words_of(config)]
 
 
 # When a write fails, Orbax abandons other writes, and Python reports each when it is collected.
@@ -86,6 +82,16 @@ def last_state(run: Path, config, warn=pytest.fail) -> training.TrainState:
     """Returns the state in the newest checkpoint of a run."""
     like = jax.eval_shape(jax.vmap(partial(training.init, make_program(config))), seed_keys(config))
     return checkpoint.restore(checkpoint.newest(run / "checkpoints", warn), like)
+
+
+def assert_same_run(one: Path, other: Path, config: Config) -> None:
+    """Asserts the same last state to the bit, and the same rows but for the clock."""
+    for mine, yours in zip(leaves(last_state(one, config)), leaves(last_state(other, config)), strict=True):
+        np.testing.assert_array_equal(mine, yours)
+    rows, others = (records.read_rows(directory / "metrics.jsonl") for directory in (one, other))
+    assert [row | {"seconds": 0} for row in rows] == [row | {"seconds": 0} for row in others]
+    seeds, blocks = range(config.seeds), range(config.log.epochs, config.epochs + 1, config.log.epochs)
+    assert [(row["epoch"], row["seed"]) for row in rows] == [(epoch, seed) for epoch in blocks for seed in seeds]
 
 
 def times(directory: Path) -> dict[Path, int]:

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ear_jax.cli.main import main
@@ -27,7 +26,7 @@ from ear_jax.runs import checkpoint, loop, records
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.trained import load
 from tests.helpers.faults import killed_before
-from tests.helpers.runs import finished_config, last_state, leaves, stray_writes, words
+from tests.helpers.runs import assert_same_run, finished_config, last_state, stray_writes, words
 
 ROOT = Path(__file__).parents[2]
 
@@ -51,16 +50,6 @@ def wait_for(process: subprocess.Popen[bytes], happened: Callable[[], bool], sec
         assert process.poll() is None, f"it ended with {process.returncode} before that"
         assert time.monotonic() < until, "it takes too long"
         time.sleep(0.001)
-
-
-def assert_same_run(one: Path, other: Path, config: Config) -> None:
-    """Asserts the same last state to the bit, and the same rows but for the clock."""
-    for mine, yours in zip(leaves(last_state(one, config)), leaves(last_state(other, config)), strict=True):
-        np.testing.assert_array_equal(mine, yours)
-    rows, others = (records.read_rows(directory / "metrics.jsonl") for directory in (one, other))
-    assert [row | {"seconds": 0} for row in rows] == [row | {"seconds": 0} for row in others]
-    seeds, blocks = range(config.seeds), range(config.log.epochs, config.epochs + 1, config.log.epochs)
-    assert [(row["epoch"], row["seed"]) for row in rows] == [(epoch, seed) for epoch in blocks for seed in seeds]
 
 
 def is_saving(directory: Path, since: float) -> bool:

@@ -1,0 +1,109 @@
+"""Time and memory of training against the number of seeds and of tasks, each size in a process of its own.
+
+Batch, replay and environments are those of `fast` for every task, so all that could grow with the tasks does. Seconds
+are of the processor, which other programs of the machine change less than the wall's. `growth` is the exponent between
+the two sizes of a pair: 1 is linear.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from typing import Any
+
+from benchmarks import common
+
+SIZES = {"seeds": ((1, 10), (2, 10), (4, 10), (8, 10)), "tasks": ((1, 10), (1, 100), (1, 1000))}
+QUICK = {"seeds": ((1, 2), (2, 2)), "tasks": ((1, 2), (1, 4))}
+EPOCHS_HELD = 5  # epochs of collection that the replay holds; those of `fast` are 100
+COSTS = ("collect_seconds", "update_seconds", "evaluate_seconds", "state_bytes", "peak_bytes")
+
+
+def measure(seeds: int, tasks: int, repeats: int) -> dict[str, float]:
+    """Returns the costs of a size in this process: of an epoch's collection, an update, an evaluation, and memory."""
+    import jax
+
+    from ear_jax.presets import preset_config
+    from ear_jax.process.runtime import tree_bytes
+    from ear_jax.runs import training
+    from ear_jax.runs.compiled import compile_program
+
+    config, updates = preset_config("halfcheetah-vel", "fast"), max(1, repeats)
+    of_a_task = config.sac.batch_size // 10
+    collect = config.collect
+    config = replace(
+        config,
+        engine="native",
+        seeds=seeds,
+        tasks=tuple(f"{1 + 9 * index / max(1, tasks - 1):.4g}" for index in range(tasks)),
+        sac=replace(config.sac, batch_size=of_a_task * tasks, updates=updates),
+        replay=replace(config.replay, capacity=EPOCHS_HELD * collect.envs * collect.steps * tasks),
+        log=replace(config.log, episodes=1),
+    )
+    keys = training.seed_keys(config)
+    compiled = compile_program(training.make_program(config), keys)
+    state = compiled.init(keys)
+    bytes_of_state = tree_bytes(state)
+    timed: dict[str, list[float]] = {name: [] for name in ("collect", "learn", "evaluate")}
+    for _ in range(repeats + 1):
+        began = time.process_time()
+        state, _ = jax.block_until_ready(compiled.collect(state))
+        collected = time.process_time()
+        state, _ = jax.block_until_ready(compiled.learn(state))
+        learnt = time.process_time()
+        timed["collect"].append(collected - began)
+        timed["learn"].append(learnt - collected)
+    for number in range(2):
+        began = time.process_time()
+        jax.block_until_ready(compiled.evaluate(state.learner.policy, training.evaluation_keys(keys, number)))
+        timed["evaluate"].append(time.process_time() - began)
+    least = {name: min(values[1:]) for name, values in timed.items()}
+    return {
+        "collect_seconds": least["collect"],
+        "update_seconds": least["learn"] / updates,
+        "evaluate_seconds": least["evaluate"],
+        "state_bytes": bytes_of_state,
+        "peak_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+    }
+
+
+def apart(seeds: int, tasks: int, repeats: int) -> dict[str, float]:
+    """Returns the costs of a size, measured in a process of its own."""
+    code = "import json, sys; from benchmarks.scale import measure; print(json.dumps(measure(*map(int, sys.argv[1:]))))"
+    words = [sys.executable, "-c", code, *map(str, (seeds, tasks, repeats))]
+    done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def growth(before: dict[str, float], after: dict[str, float], factor: float) -> dict[str, float]:
+    """Returns by cost the exponent p with which it grew, as factor^p."""
+    return {name: round(math.log(after[name] / before[name]) / math.log(factor), 3) for name in COSTS}
+
+
+def against(options: argparse.Namespace, axis: str, sizes: tuple[tuple[int, int], ...], repeats: int) -> None:
+    """Measures sizes along an axis and writes a row for each, with the growth from the one before."""
+    costs: list[dict[str, float]] = []
+    for index, (seeds, tasks) in enumerate(sizes):
+        costs.append(apart(seeds, tasks, repeats))
+        row: dict[str, Any] = {"axis": axis, "seeds": seeds, "tasks": tasks, "repeats": repeats}
+        row |= {name: float(f"{value:.5g}") for name, value in costs[-1].items()}
+        if index:
+            factor = math.prod(sizes[index]) / math.prod(sizes[index - 1])
+            row["growth"] = growth(costs[-2], costs[-1], factor)
+        common.write_row(options, "scale", row)
+
+
+def main() -> None:
+    options = common.arguments(__doc__)
+    for axis, sizes in (QUICK if options.quick else SIZES).items():
+        against(options, axis, sizes, 1 if options.quick else 3)
+
+
+if __name__ == "__main__":
+    main()

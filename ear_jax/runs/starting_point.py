@@ -1,0 +1,119 @@
+"""The point from which runs train on: their newest good steps, and directories prepared for it.
+
+Of a run over several hosts process 0 reads and writes directories, and tells the others where training begins.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ear_jax.config import Config
+from ear_jax.errors import RunError
+from ear_jax.process import hosts
+from ear_jax.runs import checkpoint
+from ear_jax.runs.checkpoint import Step
+from ear_jax.runs.directory import check_settings, check_tasks
+from ear_jax.runs.documents import about
+from ear_jax.runs.history import FIRST, History, read_history, write_history
+from ear_jax.runs.training import Program
+
+Warn = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run to train."""
+
+    config: Config
+    directory: Path
+    about: dict[str, Any] = field(default_factory=dict)  # the document of its config.json and checkpoints
+    track: Callable[[list[dict[str, Any]]], None] = lambda _: None  # copies rows of metrics elsewhere
+    rows: list[str] = field(default_factory=list)  # lines of its metrics.jsonl, to which training adds
+
+
+@dataclass(frozen=True)
+class Progress:
+    """The point that runs training side by side have reached."""
+
+    steps: list[Step]  # of each run, of one epoch; empty before the first
+    epoch: int
+    seconds: float  # trained until then
+    histories: list[History] = field(default_factory=list)  # of each run; in process 0 only
+
+
+def reached(runs: Sequence[Run], program: Program, warn: Warn) -> Progress:
+    """Returns the newest good step of each run at the newest epoch of which all have one.
+
+    Raises:
+      UsageError: a run was trained with other settings or tasks.
+      RunError: one of them has lost its checkpoints.
+    """
+    steps, until, histories = [], None, []
+    while True:
+        histories = [read_history(run.directory, warn, until) for run in runs]
+        warn = ignore  # the same damage again
+        steps = [history.step for history in histories if history.step]
+        until = min((step.epoch for step in steps), default=0)
+        if len(steps) < len(runs) or all(step.epoch == until for step in steps):
+            break
+    if len(steps) < len(runs):
+        _check_first_save(runs)
+        steps, until = [], 0
+    for run, history in zip(runs, histories, strict=True):
+        if history.settings:
+            _check_same(run.directory, history.settings, run.config, program)
+    for run, step in zip(runs, steps, strict=False):
+        _check_same(step.path, step.about, run.config, program)
+    seconds = max(history.seconds for history in histories) if steps else 0.0
+    return Progress(steps, until, seconds, histories)
+
+
+def agreed(find: Callable[[], Progress]) -> Progress:
+    """Returns in every process the point that process 0 finds; raises what that raises."""
+    found: list[Progress] = []
+
+    def document() -> dict[str, Any]:
+        progress = find()
+        found.append(progress)
+        steps = [{**asdict(step), "path": str(step.path)} for step in progress.steps] if hosts.count() > 1 else []
+        return {"steps": steps, "epoch": progress.epoch, "seconds": progress.seconds}
+
+    told = hosts.agree(document)
+    if found:
+        return found[0]
+    steps = [Step(step["epoch"], Path(step["path"]), step["about"]) for step in told["steps"]]
+    return Progress(steps, told["epoch"], told["seconds"])
+
+
+def prepare(run: Run, program: Program, history: History, started: bool) -> Run:
+    """Writes what the run's directory should hold before it trains on, and returns the run with its past.
+
+    For a continued run config.json keeps what it tells of the start, and gets the settings, which may name more epochs.
+    """
+    document, past = about(program, run.config), history.settings
+    document["run"] = past.get("run") or secrets.token_hex(8)
+    first = past.get(FIRST) or history.step.epoch if started and history.step else None
+    rows = history.rows if started else ""
+    checkpoint.clean(run.directory / checkpoint.FOLDER)
+    write_history(run.directory, {**document, **past, "config": document["config"], FIRST: first}, rows)
+    return replace(run, about=document, rows=[rows])
+
+
+def _check_first_save(runs: Sequence[Run]) -> None:
+    """Raises RunError if runs have trained past the first save, and one of them has lost its checkpoints."""
+    saved = [(len(checkpoint.steps(run.directory / "checkpoints")), run.directory) for run in runs]
+    if max(saved)[0] > 1:
+        raise RunError(f"{min(saved)[1]} has no checkpoints, unlike {max(saved)[1]} that trained beside it")
+
+
+def ignore(_: str) -> None:
+    """Says nothing."""
+
+
+def _check_same(holder: Path, document: dict[str, Any], config: Config, program: Program) -> None:
+    check_settings(holder, document, config)
+    check_tasks(holder, document, program.tasks)
