@@ -82,6 +82,16 @@ def test_mistakes_in_a_file_are_one_line(text, words, complaint, capsys):
     assert not Path("runs").exists()
 
 
+def test_a_file_that_cannot_be_read_is_one_line(capsys):
+    Path("folder.toml/config.json").mkdir(parents=True)
+    Path("mine.toml").write_bytes(b"\xff\x00")
+    for file, reason in (("folder.toml", "Is a directory"), ("mine.toml", "it is not text")):
+        assert main(["train", "--config", file]) == 1
+        error = capsys.readouterr().err
+        assert error.endswith(f"cannot be read: {reason}\n")
+        assert error.count("\n") == 1
+
+
 def test_settings_that_are_none_stay_visible():
     text = to_toml(Config("hopper-vel"))
     assert "# minutes =" in text

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from ear_jax.agents.networks import unit_vector
+from ear_jax.cli.adapt import _check_save as check_save
 from ear_jax.config import Config
 from ear_jax.embeddings import adapt as adaptation
 from ear_jax.embeddings import cem, ltes
@@ -18,7 +19,8 @@ from ear_jax.embeddings.adapt import adapt
 from ear_jax.embeddings.codes import blend, fibonacci_sphere, slerp
 from ear_jax.embeddings.evaluate import evaluate
 from ear_jax.embeddings.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
-from ear_jax.embeddings.map import LteMap, code_for_target
+from ear_jax.embeddings.interpolate import _check_reach as check_reach
+from ear_jax.embeddings.map import LteMap, check_sphere, code_for_target
 from ear_jax.embeddings.search import Search
 from ear_jax.envs.ant_dir import AntDir
 from ear_jax.errors import UsageError
@@ -194,6 +196,22 @@ def test_codes_lie_on_a_sphere_where_they_are_unit_vectors_and_stay_so():
 def test_without_two_tasks_that_command_something_there_is_nothing_to_blend(toy):
     with pytest.raises(UsageError, match="toy has no two tasks with a target action"):
         play_blends(toy, [], (0.5,), 1, 0)
+
+
+def test_a_sphere_of_another_size_is_not_drawn(toy):
+    with pytest.raises(UsageError, match="this run's LTEs have 3 numbers; only those with 2 can be drawn"):
+        check_sphere(toy, 2)
+
+
+def test_a_target_that_no_blend_comes_near_is_refused(toy):
+    with pytest.raises(UsageError, match=r"no blend of -0\.5 and 0\.5 comes near 9; they reach -?[\d.]+ to [\d.]+ 1"):
+        check_reach(toy.program.family, tuple(trained_ends(toy)), np.array([-0.6, 0.1, 0.7]), 9.0)
+
+
+def test_a_policy_that_tunes_itself_has_no_lte_to_save(toy):
+    tuned = replace(toy, program=replace(toy.program, agent=replace(toy.program.agent, tuned=True)))
+    with pytest.raises(UsageError, match="--save trot: ear has no LTEs to save"):
+        check_save("trot", tuned)
 
 
 def test_a_search_answers_what_the_map_does_not_reach(toy):

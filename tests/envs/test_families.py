@@ -5,6 +5,7 @@ Here velocity is (x_after − x_before)/dt in float64, of the same float32 start
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from types import SimpleNamespace
 
@@ -16,6 +17,7 @@ import pytest
 
 from ear_jax.envs import FAMILIES, Family, make_family
 from ear_jax.envs.validation import check_class, check_family
+from ear_jax.errors import UsageError
 from ear_jax.physics import Physics
 from ear_jax.physics.models import load_model
 from tests.helpers.tolerances import MJX_TOLERANCES
@@ -295,3 +297,16 @@ def test_is_a_brax_environment_by_name_and_restarts_elsewhere(name):
             starts.append(np.asarray(state.obs))
     assert len(starts) == 3
     assert len(np.unique(np.concatenate(starts)[:, 0])) == 12
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "complaint"),
+    [
+        ("ant-dir", {"jump_height": "torso"}, "ant-dir has no setting 'jump_height' (there are: lateral_weight)"),
+        ("reach", {"lateral_weight": 1.0}, "reach has no setting 'lateral_weight' (there are: none)"),
+        ("halfcheetah-run-jump", {"jump_height": "torse"}, "unknown jump_height 'torse'; did you mean 'torso'?"),
+    ],
+)
+def test_an_unknown_setting_or_value_is_named(name, options, complaint):
+    with pytest.raises(UsageError, match=re.escape(complaint)):
+        make_family(name, "native", **options)

@@ -126,3 +126,13 @@ def test_rows_of_an_earlier_version_are_read_before_those_of_this_one(rows, tmp_
     path.write_text("".join(json.dumps(row) + "\n" for row in rows[:3]))
     append_rows(path, rows[3:])
     assert read_rows(path) == rows
+
+
+def test_what_cannot_be_read_or_lacks_a_key_is_named(rows, tmp_path):
+    (tmp_path / "folder").mkdir()
+    for read in (read_json, read_rows):
+        with pytest.raises(RunError, match=r"folder cannot be read: Is a directory"):
+            read(tmp_path / "folder")
+    for required in ({"seed": str}, {"loss": float}):
+        with pytest.raises(RunError, match=rf"line 1: its '{next(iter(required))}' is missing, or of another type"):
+            read_rows(tmp_path / "a.jsonl", required=required)

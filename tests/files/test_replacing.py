@@ -15,7 +15,7 @@ from ear_jax.embeddings import ltes
 from ear_jax.errors import RunError
 from ear_jax.figures.style import save_figure
 from ear_jax.figures.video import write_gif, write_mp4
-from ear_jax.files.replacing import copy_file, folder, replace_file, write_text
+from ear_jax.files.replacing import copy_file, folder, lock_file, replace_file, write_text
 from ear_jax.runs import safetensors
 from tests.helpers.faults import each_kill
 
@@ -97,6 +97,15 @@ def test_a_folder_that_is_a_link_is_refused(tmp_path):
     (tmp_path / "figures").symlink_to(tmp_path / "precious")
     with pytest.raises(RunError, match=r"figures: it is a link to .*precious"):
         folder(tmp_path / "figures")
+
+
+def test_where_no_folder_and_no_lock_can_be_made_it_is_said(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(RunError, match=r"cannot write .*figures: Not a directory"):
+        folder(tmp_path / "file" / "figures")
+    (tmp_path / ".a.json.lock").mkdir()
+    with pytest.raises(RunError, match=r"cannot make .*a\.json\.lock: Is a directory"), lock_file(tmp_path / "a.json"):
+        pass
 
 
 def test_a_copy_of_what_is_not_there_leaves_the_old_file(tmp_path):

@@ -235,6 +235,18 @@ def test_a_checkpoint_of_the_first_format_loads_and_its_run_goes_on(tmp_path, co
     assert [row["epoch"] for row in records.read_rows(directory / "metrics.jsonl")] == [2, 4, 6]
 
 
+@pytest.mark.parametrize(
+    ("about", "complaint"),
+    [("[]", "about.json cannot be read: it is no table"), ('{"format": 1, "epoch": 4}', "does not list its arrays")],
+)
+def test_a_description_that_is_none_is_damage_also_with_its_checksum(about, complaint, steps):
+    (steps / "4" / "about.json").write_text(about)
+    manifest.write(steps / "4")
+    epoch, (warning,) = newest(steps)
+    assert epoch == 2
+    assert complaint in warning
+
+
 def test_a_format_from_the_future_is_refused(steps):
     path = steps / "4" / "about.json"
     records.write_json(path, {**records.read_json(path), "format": 99})

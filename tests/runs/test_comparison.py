@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from ear_jax.errors import UsageError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import records
 from ear_jax.runs.comparison import EVALUATIONS, LAST_ROWS, compare
 from ear_jax.runs.groups import two_groups
@@ -63,3 +63,10 @@ def test_one_seed_has_no_interval_and_other_tasks_no_comparison(pair, tmp_path):
     assert document["probability_of_improvement"] == {"value": 0.5, "interval": None}
     with pytest.raises(UsageError, match="no task in common"):
         compare(*two_groups([write_records(tmp_path / "elsewhere", {0: [{"z": 1}]})], pair[1:]))
+
+
+@pytest.mark.parametrize("document", [{}, {"seeds": [1]}, {"seeds": [{"seed": 0, "tasks": [{}]}], "updates": 1}])
+def test_an_evaluation_that_lacks_a_key_is_named(document, pair):
+    records.write_json(pair[0] / EVALUATIONS, document)
+    with pytest.raises(RunError, match=rf"{EVALUATIONS} cannot be read: "):
+        compare(*two_groups(pair[:1], pair[1:]))

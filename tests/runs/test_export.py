@@ -13,7 +13,7 @@ import pytest
 from ear_jax.cli.main import main
 from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import manifest, records, safetensors
-from ear_jax.runs.export import write_policy
+from ear_jax.runs.export import read_about, write_policy
 from ear_jax.runs.trained import load
 from tests.helpers.runs import finished_config, leaves
 
@@ -142,3 +142,16 @@ def test_a_family_that_is_named_again_has_to_be_the_same(exported):
     with pytest.raises(UsageError, match="was trained on family halfcheetah-vel, not hopper-vel"):
         load(exported, "hopper-vel")
     assert load(exported, "halfcheetah-vel").program.config == finished_config(engine="auto")
+
+
+def test_what_cannot_be_read_or_is_another_programs_is_named(tmp_path):
+    with pytest.raises(RunError, match=r"cannot read .*: Is a directory"):
+        read_about(tmp_path)
+    file = tmp_path / "a.safetensors"
+    safetensors.write(file, {"a": np.zeros((2, 2), np.float32)}, {"format": "pt"})
+    with pytest.raises(RunError, match="is not a policy file that this version of ear_jax can read"):
+        read_about(file)
+    header = safetensors.read_header(file)
+    file.write_bytes(file.read_bytes()[:-4])  # meanwhile, by another process
+    with pytest.raises(RunError, match=r"cannot read .*a\.safetensors: "):
+        safetensors.read_arrays(file, header)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ear_jax.errors import UsageError
+from ear_jax.errors import RunError, UsageError
+from ear_jax.files.rows import append_rows
 from ear_jax.runs.groups import band, curve, group, read, two_groups
 from tests.helpers.records_of import write_records
 
@@ -62,4 +63,11 @@ def test_what_cannot_be_grouped_is_refused(tmp_path):
         two_groups([run], [run])
     (run / "metrics.jsonl").write_text("")
     with pytest.raises(UsageError, match="has no row of metrics yet"):
+        read(run)
+
+
+def test_rows_without_their_seed_are_named(tmp_path):
+    run = write_records(tmp_path / "run", {0: rows(1)})
+    append_rows(run / "metrics.jsonl", [{"epoch": 20}])
+    with pytest.raises(RunError, match=r"metrics\.jsonl cannot be read: a row lacks 'seed'"):
         read(run)

@@ -90,6 +90,13 @@ def test_without_config_json_and_steps_it_is_no_run(tmp_path):
         trained.load(tmp_path)
 
 
+def test_a_run_without_a_first_step_is_no_trained_run_yet(finished):
+    records.write_json(finished / "config.json", {**records.read_run(finished), history.FIRST: None})
+    shutil.rmtree(finished / "checkpoints")
+    with pytest.raises(RunError, match="has no checkpoint yet; the same `ear train` command continues it"):
+        trained.load(finished)
+
+
 def flip(path: Path, number: int) -> None:
     """Changes a digit in a line."""
     lines = path.read_text().splitlines(keepends=True)

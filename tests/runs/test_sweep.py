@@ -149,3 +149,12 @@ def test_a_sweep_is_not_written_over_something_else(tmp_path):
     (tmp_path / "note").write_text("mine")
     with pytest.raises(UsageError, match="neither empty nor a sweep"):
         sweep.begin(tmp_path, "hopper-vel", {"a": {"sac.lr": 1e-3}})
+
+
+def test_a_sweep_whose_document_is_another_is_named(tmp_path):
+    records.write_json(tmp_path / sweep.NAME, {"trials": []})
+    with pytest.raises(RunError, match=r"sweep\.json cannot be read: it names no family or no trials"):
+        sweep.begin(tmp_path, "hopper-vel", {"a": {"sac.lr": 1e-3}})
+    records.write_json(tmp_path / sweep.NAME, {"family": "ant-dir", "trials": []})
+    with pytest.raises(UsageError, match="holds a sweep of 0 other trials; use another --out"):
+        sweep.begin(tmp_path, "hopper-vel", {"a": {"sac.lr": 1e-3}})
