@@ -181,11 +181,12 @@ def test_a_damaged_archive_in_the_cache_is_fetched_again(npm):
 
 
 def test_an_npm_that_fails_or_is_missing_is_one_line(npm, monkeypatch):
-    (npm / "bin" / "npm").write_text("#!/bin/sh\necho 'npm error network' >&2\nexit 1\n")
+    (npm / "bin" / "npm").write_text("#!/bin/sh\nexec /bin/sleep 60\n")
     with monkeypatch.context() as patch:
-        patch.setattr(wasm, "SECONDS", 0.001)
-        with pytest.raises(RunError, match=r"npm gave no answer in 0\.001 seconds"):
+        patch.setattr(wasm, "SECONDS", 0.1)
+        with pytest.raises(RunError, match=r"npm gave no answer in 0\.1 seconds"):
             wasm.find()
+    (npm / "bin" / "npm").write_text("#!/bin/sh\necho 'npm error network' >&2\nexit 1\n")
     with pytest.raises(RunError, match=r"npm could not fetch @mujoco/mujoco 3.14.0 \(npm error network\)"):
         wasm.find()
     monkeypatch.setenv("PATH", "/nowhere")
