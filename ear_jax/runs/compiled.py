@@ -12,6 +12,7 @@ import numpy as np
 
 from ear_jax.agents.networks import Params
 from ear_jax.learning.episodes import Episodes
+from ear_jax.process.target import on_accelerator
 from ear_jax.runs import training
 from ear_jax.runs.seeds import over_seeds
 from ear_jax.runs.training import Program, TrainState
@@ -64,7 +65,7 @@ def compile_program(program: Program, keys: jax.Array, numbers: Mapping[str, np.
     state = jax.eval_shape(start, numbers, keys)
     jitted = (
         (over_seeds(collect, members, axes, donate_argnums=1), state),
-        (over_seeds(learn, members, axes, matmul, donate_argnums=1), state),
+        (over_seeds(learn, members, axes, matmul, in_turn=not on_accelerator(), donate_argnums=1), state),
         (start, keys),
     )
     with ThreadPoolExecutor() as pool:

@@ -1,8 +1,9 @@
-"""One program for several seeds: vmapped on a device, and sharded over several devices, also of several hosts."""
+"""One program for several seeds: vmapped or looped over on a device, sharded over devices, also of several hosts."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -63,6 +64,7 @@ def over_seeds(
     seeds: int,
     in_axes: tuple[int | None, ...],
     matmul: str = "float32",
+    in_turn: bool = False,
     **options: Any,
 ) -> Any:
     """Compiles a function of one seed for all of them.
@@ -75,9 +77,12 @@ def over_seeds(
       seeds: the number of seeds.
       in_axes: for each argument 0 if it has an axis [seeds], else None.
       matmul: the precision of most of its matmuls, as in `network.matmul`.
+      in_turn: a device computes its seeds one after the other, not as one batch; every axis is then 0. A CPU's caches
+        hold the networks of one or two seeds, so that eight at once cost more than eight in turn.
       options: further options of `jax.jit`.
     """
-    mapped, sharding = jax.vmap(function, in_axes), seed_sharding(seeds)
+    mapped = partial(_one_by_one, function) if in_turn and seeds > 1 else jax.vmap(function, in_axes)
+    sharding = seed_sharding(seeds)
     options["compiler_options"] = compiler_options(matmul)
     if sharding.num_devices == 1:
         return jax.jit(mapped, **options)
@@ -91,3 +96,7 @@ def over_seeds(
         check_vma=False,  # not supported for the native engine's callbacks
     )
     return jax.jit(sharded, in_shardings=in_shardings, out_shardings=sharding, **options)
+
+
+def _one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
+    return jax.lax.map(lambda each: function(*each), arguments)
