@@ -18,7 +18,7 @@ from ear_jax.envs.batched_env import BatchedEnv, Transition
 from ear_jax.learning import replay
 from ear_jax.learning.replay import Replay
 from ear_jax.learning.rollout import act_with, rollout
-from ear_jax.learning.sac import SacState
+from ear_jax.learning.sac_state import SacState
 from ear_jax.presets import preset_config
 from ear_jax.process import runtime
 from ear_jax.runs import training

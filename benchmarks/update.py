@@ -20,7 +20,8 @@ from jax.extend.core import Jaxpr, jaxprs_in_params
 
 from benchmarks import common
 from ear_jax.learning.replay import Replay
-from ear_jax.learning.sac import Draws, SacState
+from ear_jax.learning.sac import Draws
+from ear_jax.learning.sac_state import SacState
 from ear_jax.presets import preset_config
 from ear_jax.process import runtime
 from ear_jax.runs import training

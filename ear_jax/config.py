@@ -35,6 +35,8 @@ class NetworkConfig:
     """Residual blocks of two layers with LayerNorm (BRO); they replace each critic's hidden layers but the first."""
     critic_bins: int = 0
     """Bins of return whose probabilities each critic predicts (C51), within ± sac.return_scale; 0 predicts Q itself."""
+    critic_batch_norm: bool = False
+    """Critics of BatchNorm layers whose weights keep unit norm (XQC)."""
     critic_task: Literal["onehot", "lte", "both"] = "onehot"
     """Critics' input about the task; an LTE given to critics is also taught by them (BRC)."""
     task_layers: int = 0
@@ -91,6 +93,8 @@ class SacConfig:
     """Factor on rewards in the critics' targets."""
     return_scale: float = 0.0
     """Scale each task's rewards so that the largest return seen is this, and clip targets there (BRC); 0 does not."""
+    outcome_weight: float = 0.0
+    """Weight of a loss by which φ learns to predict the step's outcome and the next LSE (MR.Q)."""
     weight_decay: float = 0.0
     """Decay of weights, relative to the step size (AdamW); biases and normalisation are left out."""
     initial_temperature: float = 1.0

@@ -54,7 +54,7 @@ _MINIMA: dict[str, int] = {
     **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
     **{f"network.critic_{name}": 0 for name in ("blocks", "bins")},
-    **{f"sac.{name}": 0 for name in ("lr_decay", "return_scale")},
+    **{f"sac.{name}": 0 for name in ("lr_decay", "return_scale", "outcome_weight")},
     **{f"sac.{name}": 1 for name in ("batch_size", "policy_share", "updates")},
     **{f"collect.{name}": 1 for name in ("envs", "steps", "hold_noise", "pretrain_epochs")},
     "replay.capacity": 1,

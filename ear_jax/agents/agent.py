@@ -31,6 +31,8 @@ class Agent:
     code_noise: float = 0.0  # σ of the noise added to a code when an update samples actions; it is then projected
     on_sphere: bool = False  # codes are unit vectors
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE
+    # Policy parameters, obs, action → the next LSE and the step's outcomes in units of their spread, both predicted.
+    forecast: Callable[[Params, jax.Array, jax.Array], tuple[jax.Array, jax.Array]] | None = None
     critic_task: str = "onehot"  # the critics' input about the task: onehot, lte or both
     own_temperatures: bool = False  # one temperature per task instead of a shared one
     infer: Callable[[Params, Context], Posterior] | None = None  # policy parameters, steps of a task
@@ -64,13 +66,15 @@ def standardised(agent: Agent, obs_size: int) -> Agent:
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
         return agent.distribution(policy["networks"], code, policy["standardiser"](obs))
 
-    embed, infer = agent.embed, agent.infer
+    embed, forecast, infer = agent.embed, agent.forecast, agent.infer
     return replace(
         agent,
         init_policy=init_policy,
         codes=codes,
         distribution=distribution,
         embed=embed and (lambda policy, obs: embed(policy["networks"], policy["standardiser"](obs))),
+        forecast=forecast
+        and (lambda policy, obs, action: forecast(policy["networks"], policy["standardiser"](obs), action)),
         infer=infer and (lambda policy, steps: infer(policy["networks"], _standardise(policy, steps))),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax.agents import categorical
-from ear_jax.agents.networks import Network, Params, mlp, residual
+from ear_jax.agents.networks import Network, Params, batch_normed, mlp, residual, unit_columns
 from ear_jax.config import Config, NetworkConfig, is_on
 
 Prediction = Any  # of one critic for one item: here Q, a scalar; for a categorical critic its logits [bins]
@@ -53,38 +53,71 @@ class Critic:
     value: Callable[[Prediction], jax.Array] = lambda prediction: prediction  # a prediction → Q, a scalar
     target: Callable[[Prediction, float, Bellman], Any] = scalar_target  # next predictions [critics, …] → target
     loss: Callable[[Prediction, Any], jax.Array] = squared_error  # a prediction and its target → scalar
+    # As `predict` for an item of a batch that normalises it; also returns the parameters' new `batch_stats`.
+    predict_in_batch: Callable[[Params, jax.Array, jax.Array, jax.Array], tuple[Prediction, Params]] | None = None
+    constrain: Callable[[Params], Params] = lambda params: params  # applied to the parameters after every step
 
 
 def critic_network(inputs: int, outputs: int, config: NetworkConfig) -> Network:
-    """Builds the network that all critics use: residual blocks, or ReLU layers with LayerNorm if that is set."""
+    """Builds the network that all critics use: residual blocks, or ReLU layers with BatchNorm or LayerNorm if set."""
     if config.critic_blocks:
         return residual(inputs, config.critic_blocks, outputs, config)
     widths = (config.width,) * config.critic_layers
+    if config.critic_batch_norm:
+        return batch_normed(inputs, widths, outputs)
     return mlp(inputs, widths, outputs, config, config.critic_layer_norm)
 
 
-def make_critic(init: Callable[..., Params], predict: Callable[..., Prediction], config: Config) -> Critic:
+def make_critic(
+    network: Network,
+    config: Config,
+    join: Callable[[jax.Array, jax.Array, jax.Array], jax.Array],
+    select: Callable[[jax.Array, jax.Array], Prediction],
+) -> Critic:
     """Builds a critic trained as the settings say.
 
     Args:
-      init: key → parameters.
-      predict: (parameters, obs, action, task) → Q, or its logits [bins] if `network.critic_bins` is set.
+      network: from `critic_network`.
       config: the settings.
+      join: obs, action, task → the network's input.
+      select: the network's output, task → Q, or its logits [bins] if `network.critic_bins` is set.
     """
-    limit = config.sac.return_scale
+    limit, in_batch = config.sac.return_scale, network.apply_in_batch
+
+    def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> Prediction:
+        return select(network.apply(params, join(obs, action, task)), task)
+
+    def predict_in_batch(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> tuple[Any, Params]:
+        assert in_batch
+        output, statistics = in_batch(params, join(obs, action, task))
+        return select(output, task), statistics
+
+    critic = Critic(network.init, predict)
+    if in_batch:
+        critic = replace(critic, predict_in_batch=predict_in_batch, constrain=unit_columns)
     if config.network.critic_bins:
         value, target = (partial(function, limit=limit) for function in (categorical.value, categorical.target))
-        return Critic(init, predict, value, target, categorical.loss)
-    return Critic(init, predict, target=partial(clipped_target, limit=limit) if is_on(limit) else scalar_target)
+        return replace(critic, value=value, target=target, loss=categorical.loss)
+    return replace(critic, target=partial(clipped_target, limit=limit)) if is_on(limit) else critic
 
 
 def task_critic(obs_size: int, action_size: int, task_size: int, config: Config) -> Critic:
     """Builds a critic of observation, action and task, where the task is a one-hot, a code or both."""
     bins = config.network.critic_bins
     network = critic_network(obs_size + action_size + task_size, bins or 1, config.network)
+    return make_critic(
+        network,
+        config,
+        join=lambda *inputs: jnp.concatenate(inputs),
+        select=lambda output, task: output if bins else output[0],
+    )
 
-    def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> Prediction:
-        output = network.apply(params, jnp.concatenate([obs, action, task]))
-        return output if bins else output[0]
 
-    return make_critic(network.init, predict, config)
+def seen_as(critic: Critic, change: Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, ...]]) -> Critic:
+    """Returns a critic whose inputs obs, action and task are changed first."""
+    in_batch = critic.predict_in_batch
+    return replace(
+        critic,
+        predict=lambda params, *inputs: critic.predict(params, *change(*inputs)),
+        predict_in_batch=in_batch and (lambda params, *inputs: in_batch(params, *change(*inputs))),
+    )

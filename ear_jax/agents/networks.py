@@ -17,6 +17,7 @@ from ear_jax.config import NetworkConfig
 Params = Any
 Initialiser = Literal["authors", "fan_in"]
 Activation = Callable[[jax.Array], jax.Array]
+BATCH = "batch"  # the name of a vmapped axis over whose items BatchNorm takes its statistics
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Network:
 
     init: Callable[[jax.Array], Params]
     apply: Callable[[Params, jax.Array], jax.Array]
+    apply_in_batch: Callable[[Params, jax.Array], tuple[jax.Array, Params]] | None = None
+    """As `apply`, for an item of a batch (a vmapped axis `BATCH`) that normalises it; also returns new statistics."""
 
 
 def _uniform(bound: float) -> nn.initializers.Initializer:
@@ -120,6 +123,57 @@ def residual(size: int, blocks: int, out: int, config: NetworkConfig) -> Network
     return Network(
         lambda key: module.init(key, jnp.zeros(size)), lambda params, x: jnp.asarray(module.apply(params, x))
     )
+
+
+class _BatchNormed(nn.Module):
+    widths: tuple[int, ...]
+    out: int
+
+    @nn.compact
+    def __call__(self, x: jax.Array, in_batch: bool = False) -> jax.Array:
+        axis = BATCH if in_batch else None
+        kernel = nn.initializers.orthogonal()
+
+        def normalised(x: jax.Array) -> jax.Array:
+            return nn.BatchNorm(not in_batch, momentum=0.99, epsilon=1e-3, axis_name=axis)(x)
+
+        x = normalised(x)
+        for width in self.widths:
+            x = jax.nn.relu(normalised(nn.Dense(width, use_bias=False, kernel_init=kernel)(x)))
+        return nn.Dense(self.out, kernel_init=kernel)(x)
+
+
+def batch_normed(size: int, widths: tuple[int, ...], out: int) -> Network:
+    """Builds XQC's critic network (Palenicek et al. 2025, arXiv 2509.25174), from `size` inputs to `out`.
+
+    BatchNorm, then layers x ← ReLU(BN(Wx)), and a linear layer. `apply` normalises by running statistics, which are
+    the parameters' collection `batch_stats`. `unit_columns` keeps the weights at unit norm.
+    """
+    module = _BatchNormed(widths, out)
+
+    def apply_in_batch(params: Params, x: jax.Array) -> tuple[jax.Array, Params]:
+        output, statistics = module.apply(params, x, True, mutable=["batch_stats"])
+        return jnp.asarray(output), dict(statistics)
+
+    return Network(
+        lambda key: unit_columns(module.init(key, jnp.zeros(size))),
+        lambda params, x: jnp.asarray(module.apply(params, x)),
+        apply_in_batch,
+    )
+
+
+def unit_columns(params: Params) -> Params:
+    """Divides the weights of every unit, a column of a kernel [in, out], by their norm."""
+
+    def of_leaf(path: Any, leaf: jax.Array) -> jax.Array:
+        return leaf / jnp.linalg.norm(leaf, axis=-2, keepdims=True) if is_kernel(path) else leaf
+
+    return jax.tree_util.tree_map_with_path(of_leaf, params)
+
+
+def is_kernel(path: Any) -> bool:
+    """Returns whether the path of a leaf in parameters is that of a layer's weights."""
+    return "kernel" in jax.tree_util.keystr(path)
 
 
 def recurrent_layer(size: int, width: int, initialiser: Initialiser) -> Network:

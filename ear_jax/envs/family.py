@@ -152,9 +152,7 @@ class Family(Env):
         """Starts an episode of one task at a random state."""
         key_initial, key_later = jax.random.split(key)
         physics = self.initial(key_initial)
-        no_motion = (physics, jnp.zeros(self.model.nu), physics, jnp.zeros((len(self.bodies), 3)))
-        shapes = jax.eval_shape(self.outcome, Motion(*no_motion))
-        outcome = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        outcome = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), self._outcome_shapes(physics))
         info: dict[str, Any] = {"task": task, "key": key_later}
         return State(physics, self._first_obs(physics), jnp.zeros(()), jnp.zeros(()), outcome, info)
 
@@ -181,12 +179,22 @@ class Family(Env):
         return int(jax.eval_shape(lambda key: self._first_obs(self.initial(key)), jax.random.key(0)).size)
 
     @property
+    def outcome_names(self) -> tuple[str, ...]:
+        """The names of a step's outcomes, in order."""
+        return tuple(sorted(self._outcome_shapes(jax.eval_shape(self.initial, jax.random.key(0)))))
+
+    @property
     def action_size(self) -> int:
         return int(self.model.nu)
 
     @property
     def backend(self) -> str:
         return self.engine.name
+
+    def _outcome_shapes(self, physics: Physics) -> Outcome:
+        no_motion = (physics, jnp.zeros(self.model.nu), physics, jnp.zeros((len(self.bodies), 3)))
+        shapes: Outcome = jax.eval_shape(self.outcome, Motion(*no_motion))
+        return shapes
 
     def _first_obs(self, physics: Physics) -> jax.Array:
         return jnp.tile(self.observe(physics), self.history)

@@ -43,10 +43,12 @@ def why_not(learner: type[Learner], config: Config) -> str | None:
     for name, depth in depths.items():
         if not 1 <= depth <= MAX_LAYERS:
             return f"--network.{name}-layers {depth} is not from 1 to {MAX_LAYERS}"
-    if not network.critic_layer_norm or network.critic_blocks or network.critic_bins:
-        return "critics need LayerNorm, and neither residual blocks nor bins"
-    if is_on(sac.weight_decay):
-        return "they have no weight decay"
+    other = network.critic_blocks or network.critic_bins or network.critic_batch_norm
+    if not network.critic_layer_norm or other:
+        return "critics need LayerNorm, and neither residual blocks, bins nor BatchNorm"
+    for name in ("weight_decay", "outcome_weight"):
+        if is_on(getattr(sac, name)):
+            return f"they have no --sac.{name.replace('_', '-')}"
     if sac.batch_size // sac.policy_share % LEAST_ROWS:
         return f"a batch of {sac.batch_size // sac.policy_share} is not a multiple of {LEAST_ROWS}"
     return None

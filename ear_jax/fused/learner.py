@@ -19,7 +19,8 @@ from ear_jax.fused.critic import CriticLayout, value_of_item
 from ear_jax.fused.policy import PolicyLayout, head_of_item
 from ear_jax.learning.learner import Metrics
 from ear_jax.learning.replay import Replay
-from ear_jax.learning.sac import SacLearner, SacState
+from ear_jax.learning.sac import SacLearner
+from ear_jax.learning.sac_state import SacState
 
 
 @dataclass(frozen=True)

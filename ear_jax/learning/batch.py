@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -69,6 +70,7 @@ class Batch:
     action: jax.Array  # [n, act]
     next_obs: jax.Array  # [n, obs]
     reward: jax.Array  # [n], scaled
+    outcome: Any  # scalars by name, each [n]
     terminated: jax.Array  # bool [n]
     task: jax.Array  # int32 [n], the task it is scored for
 
@@ -148,4 +150,4 @@ class Batches:
         scale = self.reward_scale(buffer)
         scale = rows_of_items(scale, task) if isinstance(scale, jax.Array) else scale
         reward = scale * jax.vmap(self.family.reward)(items.outcome, params)
-        return Batch(items.obs, items.action, items.next_obs, reward, items.terminated, task)
+        return Batch(items.obs, items.action, items.next_obs, reward, items.outcome, items.terminated, task)

@@ -5,14 +5,14 @@ Equation numbers are the paper's (appendix A). Functions of one item are vmapped
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ear_jax.agents import Agent
 from ear_jax.agents.critic import Critic, Prediction
-from ear_jax.agents.networks import Params
+from ear_jax.agents.networks import BATCH, Params
 from ear_jax.agents.tanh_gaussian import sample
 from ear_jax.learning.batch import Batch, Noise, rows_of_items
 
@@ -36,6 +36,31 @@ def predictions(critics: Params, critic: Critic, obs: jax.Array, action: jax.Arr
     """
     of_batch = jax.vmap(critic.predict, in_axes=(None, 0, 0, 0))
     return jax.vmap(of_batch, in_axes=(0, None, None, None))(critics, obs, action, task)
+
+
+class Acts(NamedTuple):
+    """Observations and actions that critics judge in a batch."""
+
+    obs: jax.Array  # [n, obs], standardised
+    action: jax.Array  # [n, act]
+
+
+def both_predictions(
+    critics: Params, critic: Critic, now: Acts, later: Acts, task: jax.Array
+) -> tuple[Prediction, Prediction, Params]:
+    """Returns every critic's predictions for the acts of a step and of the next one, each leaf [critics, n, …].
+
+    Critics with BatchNorm see both as one batch, so that predictions and targets are normalised alike (Bhatt et al.
+    2019, arXiv 1902.05605). The third result holds their new running statistics; it is empty without BatchNorm.
+    """
+    if critic.predict_in_batch is None:
+        return predictions(critics, critic, *now, task), predictions(critics, critic, *later, task), {}
+    inputs = jax.tree.map(lambda *halves: jnp.concatenate(halves), (*now, task), (*later, task))
+    of_batch = jax.vmap(critic.predict_in_batch, in_axes=(None, 0, 0, 0), out_axes=(0, None), axis_name=BATCH)
+    predicted, statistics = jax.vmap(of_batch, in_axes=(0, None, None, None))(critics, *inputs)
+    halves = jax.tree.map(lambda leaf: jnp.split(leaf, 2, axis=1), predicted)
+    first, second = jax.tree.transpose(jax.tree.structure(predicted), jax.tree.structure([0, 0]), halves)
+    return first, second, statistics
 
 
 def q_values(critic: Critic, predictions: Prediction) -> jax.Array:
@@ -109,3 +134,18 @@ def actor_loss(value: jax.Array, log_prob: jax.Array, temperature: jax.Array) ->
 def temperature_loss(log_temperature: jax.Array, log_prob: jax.Array, target_entropy: float) -> jax.Array:
     """Returns J(α) (equation 2), the mean of −log α (log π + H̄); learning log α keeps α positive."""
     return jnp.mean(-log_temperature * (log_prob + target_entropy))
+
+
+def outcome_loss(policy: Params, agent: Agent, batch: Batch) -> jax.Array:
+    """Returns the error by which φ learns to predict, over one step: of the next LSE, plus the mean over outcomes.
+
+    Outcomes are in units of their spread in the batch (Fujimoto et al. 2025, arXiv 2501.16142, with outcomes, which
+    all tasks share, in place of the reward).
+    """
+    assert agent.forecast
+    assert agent.embed
+    lse, outcomes = jax.vmap(agent.forecast, in_axes=(None, 0, 0))(policy, batch.obs, batch.action)
+    next_lse = jax.lax.stop_gradient(jax.vmap(agent.embed, in_axes=(None, 0))(policy, batch.next_obs))
+    actual = jnp.stack([batch.outcome[name] for name in sorted(batch.outcome)], axis=1)
+    actual = (actual - jnp.mean(actual, axis=0)) / (jnp.std(actual, axis=0) + 1e-6)
+    return jnp.mean(jnp.sum((lse - next_lse) ** 2, axis=1)) + jnp.mean((outcomes - actual) ** 2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import optax
 
-from ear_jax.agents.networks import Params
+from ear_jax.agents.networks import Params, is_kernel
 from ear_jax.config import SacConfig, is_on
 
 FINAL_LR = 0.1  # factor on the step size at the end of its decay
@@ -24,4 +24,4 @@ def make_optimiser(config: SacConfig) -> optax.GradientTransformation:
 
 def _kernels(params: Params) -> Params:
     """Marks the weights that decay."""
-    return jax.tree_util.tree_map_with_path(lambda path, _: "kernel" in jax.tree_util.keystr(path), params)
+    return jax.tree_util.tree_map_with_path(lambda path, _: is_kernel(path), params)

@@ -16,9 +16,11 @@ from ear_jax.agents.networks import Params
 from ear_jax.agents.posterior import Context, Posterior, prior, where
 from ear_jax.learning import losses, replay
 from ear_jax.learning.batch import Batch, Draws, rows_of_items
+from ear_jax.learning.losses import Acts
 from ear_jax.learning.replay import Replay
 from ear_jax.learning.rollout import score
-from ear_jax.learning.sac import CriticStep, SacLearner, SacState
+from ear_jax.learning.sac import SacLearner
+from ear_jax.learning.sac_state import CriticStep, SacState
 
 CONTEXT = 100  # steps that a code is inferred from
 PRIOR_SHARE = 0.4  # probability that collection acts under a code from the prior
@@ -73,7 +75,7 @@ class PearlLearner(SacLearner):
         return rows_of_items(table, task)
 
     def train_critics(
-        self, state: SacState, buffer: Replay, draws: Any, batch: Batch, obs: jax.Array, target: Any
+        self, state: SacState, buffer: Replay, draws: Any, batch: Batch, now: Acts, later: Acts, target: Any
     ) -> CriticStep:
         """Differentiates the critics' loss plus the KL divergence from the prior by critics and encoder."""
 
@@ -81,14 +83,14 @@ class PearlLearner(SacLearner):
             inferred = self.posteriors(policy, buffer, draws.context)
             task = self.task_input(inferred.sample(draws.posterior), batch.task)
             kl = jnp.sum(jax.vmap(Posterior.kl_to_prior)(inferred))
-            predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
+            predicted, _, statistics = losses.both_predictions(critics, self.critic, now, later, task)
             each = losses.critic_losses(self.critic, predicted, target)
             loss = losses.critic_loss(each) + KL_WEIGHT * self.config.sac.reward_scale**2 * kl
-            return loss, (each, losses.q_values(self.critic, predicted))
+            return loss, (each, losses.q_values(self.critic, predicted), statistics)
 
         differentiate = jax.value_and_grad(objective, argnums=(0, 1), has_aux=True)
-        (loss, (each, values)), (grad, policy_grad) = differentiate(state.critics, state.policy)
-        return CriticStep(grad, policy_grad, loss, each, values)
+        (loss, aux), (grad, policy_grad) = differentiate(state.critics, state.policy)
+        return CriticStep(grad, policy_grad, loss, *aux)
 
     def posteriors(self, policy: Params, buffer: Replay, place: jax.Array) -> Posterior:
         """Infers each task's posterior, each leaf [tasks, code], from its newest steps at `place` [tasks, steps]."""

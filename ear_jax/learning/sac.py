@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import optax
-from flax import struct
 
 from ear_jax.agents import Agent
 from ear_jax.agents.critic import Critic, aggregate_q
@@ -20,46 +19,13 @@ from ear_jax.learning import losses, replay
 from ear_jax.learning.batch import Batch, Batches, Draws, Noise, check_batch, rows_of_items
 from ear_jax.learning.exploration import held_noise
 from ear_jax.learning.learner import Metrics, scan_metrics
+from ear_jax.learning.losses import Acts
 from ear_jax.learning.optimiser import make_optimiser
 from ear_jax.learning.replay import Experience, Replay
 from ear_jax.learning.return_scale import largest_reward
 from ear_jax.learning.rollout import act_with, rollout
+from ear_jax.learning.sac_state import CRITICS, CriticStep, SacState
 from ear_jax.tasks import TaskParams, task_count
-
-CRITICS = 2
-
-
-@struct.dataclass
-class SacState:
-    """Parameters, temperature and their optimisers."""
-
-    policy: Params
-    critics: Params  # each leaf [critics, …]
-    target_critics: Params
-    log_temperature: jax.Array  # a scalar, or [tasks] if each task has its own
-    policy_optimiser: Any
-    critic_optimiser: Any  # each leaf [critics, …]
-    temperature_optimiser: Any
-
-    @property
-    def norms(self) -> Metrics:
-        """Global norms by name; each is finite only if all of its numbers are."""
-        return {
-            "policy_norm": optax.global_norm(self.policy),
-            "critics_norm": optax.global_norm((self.critics, self.target_critics)),
-            "temperature_norm": optax.global_norm(self.log_temperature),
-        }
-
-
-@struct.dataclass
-class CriticStep:
-    """The result of differentiating the critics' loss on one batch."""
-
-    grad: Params  # each leaf [critics, …]
-    policy_grad: Params | None  # of the same loss, if it also trains part of the policy
-    loss: jax.Array  # scalar
-    losses: jax.Array  # [critics, n]
-    values: jax.Array  # Q [critics, n]
 
 
 @dataclass(frozen=True)
@@ -190,9 +156,10 @@ class SacLearner:
         Returns:
           The next state and metrics: scalars, and `finite` [tasks], whether each task's loss was finite.
         """
-        (policy_grad, critic_grad, temperature_grad), metrics = self._gradients(state, buffer, draws)
+        (policy_grad, critic_grad, temperature_grad), statistics, metrics = self._gradients(state, buffer, draws)
         policy, policy_optimiser = self._apply(policy_grad, state.policy_optimiser, state.policy)
         critics, critic_optimiser = jax.vmap(self._apply)(critic_grad, state.critic_optimiser, state.critics)
+        critics = self.critic.constrain({**critics, **statistics} if statistics else critics)
         log_temperature, temperature_optimiser = self._apply(
             temperature_grad, state.temperature_optimiser, state.log_temperature
         )
@@ -209,25 +176,28 @@ class SacLearner:
 
     def _gradients(
         self, state: SacState, buffer: Replay, draws: Draws
-    ) -> tuple[tuple[Params, Params, jax.Array], Metrics]:
-        """Returns the gradients of policy, critics and log-temperature, and metrics."""
+    ) -> tuple[tuple[Params, Params, jax.Array], Params, Metrics]:
+        """Returns the gradients of policy, critics and log-temperature, the critics' statistics, and metrics."""
         batch = self.batches.take(buffer, draws)
         share = self.config.sac.policy_share  # a batch is in order of tasks, so every n-th item is as often of each
-        task, now = batch.task[::share], jax.tree.map(lambda leaf: leaf[::share], draws.now)
+        of_policy, noise = jax.tree.map(lambda leaf: leaf[::share], (batch, draws.now))
+        task = of_policy.task
         temperature = rows_of_items(jnp.exp(state.log_temperature), task)
         table = self.codes_to_learn(state.policy, buffer, draws)
-        target = self._target(state, batch, table, draws.next)
-        obs = state.policy["standardiser"](batch.obs)  # for the critics; the policy standardises its own
-        critics = self.train_critics(state, buffer, draws, batch, obs, target)
+        now, later, target = self._target(state, batch, table, draws.next)
+        critics = self.train_critics(state, buffer, draws, batch, now, later, target)
 
         def actor_objective(policy):
             codes = self.codes_of_actor(policy, table)
-            action, log_prob = losses.sample_policy(policy, self.agent, codes, batch.obs[::share], task, now)
+            action, log_prob = losses.sample_policy(policy, self.agent, codes, of_policy.obs, task, noise)
             predicted = losses.predictions(
-                state.critics, self.critic, obs[::share], action, self.task_input(table, task)
+                state.critics, self.critic, now.obs[::share], action, self.task_input(table, task)
             )
             value = aggregate_q(losses.q_values(self.critic, predicted), self.config.sac.pessimism)
-            return losses.actor_loss(value, log_prob, temperature), log_prob
+            loss = losses.actor_loss(value, log_prob, temperature)
+            if is_on(weight := self.config.sac.outcome_weight):
+                loss += weight * losses.outcome_loss(policy, self.agent, of_policy)
+            return loss, log_prob
 
         def temperature_objective(log_temperature):
             target_entropy = -float(self.family.action_size)
@@ -246,23 +216,24 @@ class SacLearner:
             "entropy": -jnp.mean(log_prob),
             "q_value": jnp.mean(critics.values),
         }
-        return (policy_grad, critics.grad, jax.grad(temperature_objective)(state.log_temperature)), metrics
+        temperature_grad = jax.grad(temperature_objective)(state.log_temperature)
+        return (policy_grad, critics.grad, temperature_grad), critics.statistics, metrics
 
     def train_critics(
-        self, state: SacState, buffer: Replay, draws: Draws, batch: Batch, obs: jax.Array, target: Any
+        self, state: SacState, buffer: Replay, draws: Draws, batch: Batch, now: Acts, later: Acts, target: Any
     ) -> CriticStep:
-        """Differentiates the critics' loss on a batch, by LTEs that critics see too; `obs` [n, obs] is standardised."""
+        """Differentiates the critics' loss on a batch, by LTEs that critics see too."""
 
         def objective(critics, policy):
             task = self.task_input(self.agent.codes(policy), batch.task)
-            predicted = losses.predictions(critics, self.critic, obs, batch.action, task)
+            predicted, _, statistics = losses.both_predictions(critics, self.critic, now, later, task)
             each = losses.critic_losses(self.critic, predicted, target)
-            return losses.critic_loss(each), (each, losses.q_values(self.critic, predicted))
+            return losses.critic_loss(each), (each, losses.q_values(self.critic, predicted), statistics)
 
         taught = (0,) if self.agent.critic_task == "onehot" else (0, 1)
         with_grads = jax.value_and_grad(objective, argnums=taught, has_aux=True)
-        (loss, (each, values)), (grad, *policy_grad) = with_grads(state.critics, state.policy)
-        return CriticStep(grad, policy_grad[0] if policy_grad else None, loss, each, values)
+        (loss, aux), (grad, *policy_grad) = with_grads(state.critics, state.policy)
+        return CriticStep(grad, policy_grad[0] if policy_grad else None, loss, *aux)
 
     def codes_to_learn(self, policy: Params, buffer: Replay, draws: Draws) -> jax.Array:
         """Returns an update's code table [tasks, code]; no gradient reaches the policy through it."""
@@ -280,17 +251,19 @@ class SacLearner:
         rows = rows_of_items(table, task)
         return rows if kind == "lte" else jnp.concatenate([one_hot, rows], axis=1)
 
-    def _target(self, state: SacState, batch: Batch, table: jax.Array, noise: Noise) -> Any:
-        """Returns the critics' target of each item, each leaf [n, …]."""
+    def _target(self, state: SacState, batch: Batch, table: jax.Array, noise: Noise) -> tuple[Acts, Acts, Any]:
+        """Returns a batch's acts, those of the policy at the next step, and each item's target, each leaf [n, …]."""
+        standardise = state.policy["standardiser"]  # for the critics; the policy standardises its own observations
         action, log_prob = losses.sample_policy(state.policy, self.agent, table, batch.next_obs, batch.task, noise)
-        next_obs = state.policy["standardiser"](batch.next_obs)
+        now, later = Acts(standardise(batch.obs), batch.action), Acts(standardise(batch.next_obs), action)
         task = self.task_input(table, batch.task)
-        next_predictions = losses.predictions(state.target_critics, self.critic, next_obs, action, task)
+        _, next_predictions, _ = losses.both_predictions(state.target_critics, self.critic, now, later, task)
         temperature = rows_of_items(jnp.exp(state.log_temperature), batch.task)
         sac = self.config.sac
-        return losses.critic_targets(
+        target = losses.critic_targets(
             self.critic, next_predictions, batch, log_prob, temperature, sac.discount, sac.pessimism
         )
+        return now, later, target
 
     def _apply(self, grad: Params, optimiser_state: Any, params: Params) -> tuple[Params, Any]:
         update, optimiser_state = self.optimiser.update(grad, optimiser_state, params)

@@ -9,7 +9,7 @@ from ear_jax.agents import Agent
 from ear_jax.agents.critic import task_critic
 from ear_jax.agents.networks import Params, mlp, unit_vector
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
-from ear_jax.config import Config
+from ear_jax.config import Config, is_on
 from ear_jax.methods.method import Method, Sizes
 from ear_jax.process.target import exact_matmul
 
@@ -30,12 +30,17 @@ def ear(sizes: Sizes, config: Config) -> Agent:
     on_lse_sphere = unit_vector if network.normalise_lse else lambda lse: lse
     on_lte_sphere = unit_vector if network.normalise_lte else lambda lte: lte
 
+    forecasts = is_on(config.sac.outcome_weight)
+    predictor = mlp(network.lse_size + sizes.action, widths, network.lse_size + sizes.outcomes, network)
+
     def init_policy(key: jax.Array) -> Params:
         key_encoder, key_task, key_decoder = jax.random.split(key, 3)
+        own = {"predictor": predictor.init(jax.random.fold_in(key, 1))} if forecasts else {}
         return {
             "encoder": encoder.init(key_encoder),
             "task_encoder": task_encoder.init(key_task),
             "decoder": decoder.init(key_decoder),
+            **own,
         }
 
     def codes(policy: Params) -> jax.Array:
@@ -49,6 +54,10 @@ def ear(sizes: Sizes, config: Config) -> Agent:
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
         return gaussian(decoder.apply(policy["decoder"], jnp.concatenate([embed(policy, obs), code])))
 
+    def forecast(policy: Params, obs: jax.Array, action: jax.Array) -> tuple[jax.Array, jax.Array]:
+        predicted = predictor.apply(policy["predictor"], jnp.concatenate([embed(policy, obs), action]))
+        return predicted[: network.lse_size], predicted[network.lse_size :]
+
     return Agent(
         code_size=network.lte_size,
         init_policy=init_policy,
@@ -60,6 +69,7 @@ def ear(sizes: Sizes, config: Config) -> Agent:
         on_sphere=network.normalise_lte,
         critic_task=network.critic_task,
         embed=embed,
+        forecast=forecast if forecasts else None,
     )
 
 

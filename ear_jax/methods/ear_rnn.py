@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax.agents import Agent
+from ear_jax.agents.critic import seen_as
 from ear_jax.agents.networks import Params, mlp, recurrent_layer, unit_vector
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config, flag
 from ear_jax.errors import UsageError
 from ear_jax.methods.ear import ear
-from ear_jax.methods.method import Method, Sizes
+from ear_jax.methods.method import OF_MAML, Method, Sizes
 
 
 def ear_rnn(sizes: Sizes, config: Config) -> Agent:
@@ -27,7 +28,6 @@ def ear_rnn(sizes: Sizes, config: Config) -> Agent:
     size, width = sizes.obs // network.history, network.width
     plain = ear(dataclasses.replace(sizes, obs=size), config)
     assert plain.critic
-    critic = plain.critic
     layers = {
         "encoder_rnn": recurrent_layer(size, width, network.initialiser),
         "encoder": mlp(width, (width,) * (network.encoder_layers - 1), network.lse_size, network),
@@ -53,15 +53,13 @@ def ear_rnn(sizes: Sizes, config: Config) -> Agent:
         inputs = jax.vmap(lambda lse: jnp.concatenate([lse, code]))(embed_all(policy, obs))
         return gaussian(apply(policy, "decoder", apply(policy, "decoder_rnn", inputs)[-1]))
 
-    def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
-        return critic.predict(params, obs[-size:], action, task)
-
     return dataclasses.replace(
         plain,
         init_policy=init_policy,
         distribution=distribution,
+        forecast=None,
         embed=lambda policy, obs: embed_all(policy, obs)[-1],
-        critic=dataclasses.replace(critic, predict=predict),
+        critic=seen_as(plain.critic, lambda obs, action, task: (obs[-size:], action, task)),
     )
 
 
@@ -76,6 +74,7 @@ _HISTORY = {"network": {"history": 8}}
 METHOD = Method(
     "ear-rnn",
     ear_rnn,
+    unread=(*OF_MAML, "sac.outcome_weight"),
     presets={
         "paper": _HISTORY,
         # An update takes 4.5 times as long as EAR's; an hour of one core allows no more epochs.

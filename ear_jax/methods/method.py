@@ -15,7 +15,7 @@ from ear_jax.learning.sac import SacLearner
 # Settings that many methods do not read, as patterns of `fnmatch`.
 OF_MAML = ("maml.*",)
 OF_EMBEDDINGS = (
-    *("sac.lte_noise", "network.normalise_*"),
+    *("sac.lte_noise", "sac.outcome_weight", "network.normalise_*"),
     *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task")),
 )
 OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
@@ -28,6 +28,7 @@ class Sizes:
     obs: int  # the agent's input, `network.history` observations together
     action: int
     tasks: int
+    outcomes: int = 0  # that a step yields; read by agents that predict them
 
 
 def _accept(config: Config) -> None:

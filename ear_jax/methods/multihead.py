@@ -23,14 +23,13 @@ def multihead(sizes: Sizes, config: Config) -> Agent:
     network, tasks = config.network, sizes.tasks
     actor = mlp(sizes.obs, (network.width,) * network.decoder_layers, tasks * 2 * sizes.action, network)
     bins = network.critic_bins
-    critic = critic_network(sizes.obs + sizes.action, tasks * (bins or 1), network)
+    critics = critic_network(sizes.obs + sizes.action, tasks * (bins or 1), network)
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
         heads = actor.apply(policy, obs).reshape(tasks, 2 * sizes.action)
         return gaussian(jnp.sum(code[:, None] * heads, axis=0))
 
-    def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
-        heads = critic.apply(params, jnp.concatenate([obs, action]))
+    def select(heads: jax.Array, task: jax.Array) -> jax.Array:
         return task @ heads.reshape(tasks, bins) if bins else jnp.sum(task * heads)
 
     return Agent(
@@ -39,7 +38,7 @@ def multihead(sizes: Sizes, config: Config) -> Agent:
         codes=lambda policy: jnp.eye(tasks),
         project=lambda code: jax.nn.one_hot(jnp.argmax(code), tasks),
         distribution=distribution,
-        critic=make_critic(critic.init, predict, config),
+        critic=make_critic(critics, config, lambda obs, action, task: jnp.concatenate([obs, action]), select),
         own_temperatures=True,
     )
 

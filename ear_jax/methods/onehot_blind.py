@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 
 from ear_jax.agents import Agent
-from ear_jax.agents.networks import Params
+from ear_jax.agents.critic import seen_as
 from ear_jax.config import Config
 from ear_jax.methods.method import Method, Sizes
 from ear_jax.methods.onehot import UNREAD, onehot
@@ -22,16 +21,11 @@ def onehot_blind(sizes: Sizes, config: Config) -> Agent:
     """
     seeing = onehot(sizes, config)
     assert seeing.critic
-    critic = seeing.critic
-
-    def predict(params: Params, obs: jax.Array, action: jax.Array, task: jax.Array) -> jax.Array:
-        return critic.predict(params, obs, action, jnp.zeros_like(task))
-
     return replace(
         seeing,
         codes=lambda policy: jnp.zeros((sizes.tasks, sizes.tasks)),
         project=jnp.zeros_like,
-        critic=replace(critic, predict=predict),
+        critic=seen_as(seeing.critic, lambda obs, action, task: (obs, action, jnp.zeros_like(task))),
         on_sphere=False,
     )
 

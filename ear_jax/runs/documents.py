@@ -11,7 +11,7 @@ import numpy as np
 
 from ear_jax.config import Config
 from ear_jax.learning.episodes import Episodes
-from ear_jax.learning.sac import CRITICS
+from ear_jax.learning.sac_state import CRITICS
 from ear_jax.process import hosts
 from ear_jax.process.precision import product
 from ear_jax.runs import records, training

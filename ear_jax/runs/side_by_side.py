@@ -19,10 +19,10 @@ from ear_jax.runs.training import seed_keys
 # Settings that nothing but the equations reads. At 0, those in OFF_AT_ZERO leave a part of the program out.
 NUMBERS = (
     *(f"sac.{name}" for name in ("lr", "discount", "pessimism", "tau", "lte_noise", "reward_scale", "return_scale")),
-    *("sac.weight_decay", "sac.initial_temperature", "sac.max_grad_norm"),
+    *("sac.weight_decay", "sac.outcome_weight", "sac.initial_temperature", "sac.max_grad_norm"),
     *("maml.inner_lr", "maml.max_divergence", "maml.discount", "replay.own_share"),
 )
-OFF_AT_ZERO = ("sac.return_scale", "sac.weight_decay")
+OFF_AT_ZERO = ("sac.return_scale", "sac.weight_decay", "sac.outcome_weight")
 
 
 def differing(configs: Sequence[Config]) -> dict[str, np.ndarray]:

@@ -44,9 +44,9 @@ def test_sizes_that_do_not_apply_are_named():
     for changed, words in (
         (network(config, width=400), "--network.width 400 is not a multiple of 64 up to 512"),
         (network(config, critic_layers=4), "--network.critic-layers 4 is not from 1 to 3"),
-        (network(config, critic_blocks=2), "neither residual blocks nor bins"),
+        (network(config, critic_blocks=2), "neither residual blocks, bins nor BatchNorm"),
         (network(config, critic_layer_norm=False), "critics need LayerNorm"),
-        (dataclasses.replace(config, sac=dataclasses.replace(config.sac, weight_decay=0.1)), "no weight decay"),
+        (dataclasses.replace(config, sac=dataclasses.replace(config.sac, weight_decay=0.1)), "no --sac.weight-decay"),
         (dataclasses.replace(config, sac=sac), "a batch of 490 is not a multiple of 16"),
     ):
         assert words in (why_not(SacLearner, changed) or "")

@@ -120,7 +120,7 @@ def batch_of(learner: SacLearner, state: TrainState, draws: Draws) -> Batch:
 def target_of(learner: SacLearner, state: TrainState, batch: Batch, draws: Draws) -> jax.Array:
     """Returns the target of a batch's critics."""
     table = learner.agent.codes(state.learner.policy)
-    return compiled(learner, "target", learner._target)(state.learner, batch, table, draws.next)
+    return compiled(learner, "target", learner._target)(state.learner, batch, table, draws.next)[-1]
 
 
 def one_update(program: Program, state: TrainState, **changes: object):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -11,16 +12,17 @@ import numpy as np
 import pytest
 
 from ear_jax.agents import categorical
-from ear_jax.agents.critic import clipped_target
-from ear_jax.agents.networks import residual
-from ear_jax.config import NetworkConfig, SacConfig
+from ear_jax.agents.critic import clipped_target, task_critic
+from ear_jax.agents.networks import BATCH, batch_normed, is_kernel, residual
+from ear_jax.config import Config, NetworkConfig, SacConfig
 from ear_jax.envs.batched_env import Transition
 from ear_jax.errors import UsageError
-from ear_jax.learning import return_scale
-from ear_jax.learning.batch import check_batch
+from ear_jax.learning import losses, return_scale
+from ear_jax.learning.batch import Batch, check_batch
 from ear_jax.learning.exploration import held_noise
 from ear_jax.learning.optimiser import make_optimiser
 from ear_jax.learning.sac import SacLearner
+from ear_jax.learning.sac_state import SacState
 from ear_jax.methods import Sizes, make_agent
 from ear_jax.runs.training import Program, evaluate
 from tests.helpers.bandit import bandit_program, begin, draws_of, one_update, train_on
@@ -32,8 +34,16 @@ def bandit(**changes: dict[str, Any]) -> Program:
     base = bandit_program()
     groups = {group: replace(getattr(base.config, group), **values) for group, values in changes.items()}
     config = replace(base.config, **groups)
-    agent = make_agent(Sizes(obs=1, action=1, tasks=2), config)
+    agent = make_agent(Sizes(obs=1, action=1, tasks=2, outcomes=1), config)
     return replace(base, config=config, agent=agent, learner=SacLearner(agent, base.family, base.tasks.params, config))
+
+
+def solve(program: Program) -> SacState:
+    """Trains on the bandit; returns the learner's state once its actions are right."""
+    state = train_on(program, begin(program), 20)
+    played = evaluate(program, state.learner.policy, jax.random.key(2), 4)
+    np.testing.assert_allclose(played.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
+    return state.learner
 
 
 def peaked(bins: int, *at: int) -> jax.Array:
@@ -82,6 +92,64 @@ def test_a_residual_network_adds_what_its_blocks_make_of_their_input():
     np.testing.assert_allclose(network.apply(params, x), (hidden + block) @ dense[3], rtol=1e-4, atol=1e-5)
 
 
+def test_batch_norm_is_by_the_batch_in_training_and_by_its_running_statistics_elsewhere():
+    """One layer by hand; an item counts a hundredth of the running statistics, which start at 0 and 1."""
+    network = batch_normed(2, (3,), 1)
+    params, x = network.init(jax.random.key(0)), jnp.array([[1.0, -2.0], [3.0, 0.5], [-1.0, 1.0], [0.0, 4.0]])
+    assert network.apply_in_batch
+    in_batch = jax.vmap(network.apply_in_batch, (None, 0), out_axes=(0, None), axis_name=BATCH)
+    output, statistics = in_batch(params, x)
+    hidden, last = (params["params"][f"Dense_{index}"]["kernel"] for index in range(2))
+
+    def normalised(x: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        return (x - mean) / np.sqrt(variance + 1e-3)
+
+    first = normalised(x, x.mean(0), x.var(0)) @ hidden
+    by_hand = np.maximum(normalised(first, first.mean(0), first.var(0)), 0) @ last
+    np.testing.assert_allclose(output, by_hand, rtol=1e-4, atol=1e-5)
+    kept = statistics["batch_stats"]["BatchNorm_0"]
+    np.testing.assert_allclose(kept["mean"], 0.01 * x.mean(0), rtol=1e-5)
+    np.testing.assert_allclose(kept["var"], 0.99 + 0.01 * x.var(0), rtol=1e-5)
+    elsewhere = np.maximum(normalised(normalised(x, 0, 1) @ hidden, 0, 1), 0) @ last
+    np.testing.assert_allclose(jax.vmap(network.apply, (None, 0))(params, x), elsewhere, rtol=1e-4, atol=1e-5)
+
+
+def test_predictions_of_a_step_and_of_the_next_are_normalised_as_one_batch():
+    critic = task_critic(1, 1, 2, Config("bandit", network=NetworkConfig(4, critic_layers=1, critic_batch_norm=True)))
+    critics = jax.vmap(critic.init)(jax.random.split(jax.random.key(0), 2))
+    obs, action = jnp.array([[0.0], [1.0], [4.0], [9.0]]), jnp.array([[0.5], [-0.5], [0.1], [0.9]])
+    task = jnp.eye(2)
+    now, later, _ = losses.both_predictions(
+        critics, critic, losses.Acts(obs[:2], action[:2]), losses.Acts(obs[2:], action[2:]), task
+    )
+    assert critic.predict_in_batch
+    whole = jax.vmap(critic.predict_in_batch, (None, 0, 0, 0), out_axes=(0, None), axis_name=BATCH)
+    for index in range(2):
+        of_one = jax.tree.map(lambda leaf, index=index: leaf[index], critics)
+        predicted, _ = whole(of_one, obs, action, jnp.tile(task, (2, 1)))
+        np.testing.assert_allclose(jnp.concatenate([now[index], later[index]]), predicted, rtol=1e-5)
+
+
+def test_the_loss_of_predicted_outcomes_is_their_error_in_units_of_spread_and_that_of_the_next_lse():
+    """φ(s) = s, predicted unchanged; outcomes 1 and 3 become −1 and 1, of which 0 and 2 are predicted."""
+    agent = SimpleNamespace(
+        embed=lambda policy, obs: policy * obs, forecast=lambda policy, obs, action: (policy * obs, 2 * action)
+    )
+    one = jnp.zeros(2)
+    batch = Batch(
+        obs=jnp.array([[1.0], [2.0]]),
+        action=jnp.array([[0.0], [1.0]]),
+        next_obs=jnp.array([[1.5], [4.0]]),
+        reward=one,
+        outcome={"speed": jnp.array([1.0, 3.0])},
+        terminated=one,
+        task=one,
+    )
+    loss, slope = jax.value_and_grad(losses.outcome_loss)(1.0, agent, batch)
+    assert loss == pytest.approx((0.5**2 + 2.0**2) / 2 + ((0 + 1) ** 2 + (2 - 1) ** 2) / 2, rel=1e-4)
+    assert slope == pytest.approx(-0.5 * 1.0 + -2.0 * 2.0), "no gradient through the next LSE"
+
+
 def test_the_scale_makes_the_largest_return_the_same_for_every_task():
     """Rewards −(a − a*)² of one environment: actions 0.5 and 1.5 earn −1 and −4 of target −0.5, 0 and −1 of 0.5."""
     family = Bandit("native")
@@ -121,11 +189,11 @@ def test_the_policy_learns_from_every_second_item_of_each_task():
     state = begin(whole)
     half = bandit(sac={"policy_share": 2})
     draws = draws_of(half.learner, 1)
-    (of_half, critics, _), _ = jax.jit(half.learner._gradients)(state.learner, state.replay, draws)
-    (_, of_all, _), _ = jax.jit(whole.learner._gradients)(state.learner, state.replay, draws)
+    (of_half, critics, _), *_ = jax.jit(half.learner._gradients)(state.learner, state.replay, draws)
+    (_, of_all, _), *_ = jax.jit(whole.learner._gradients)(state.learner, state.replay, draws)
     some = bandit(sac={"batch_size": 32})
     picked = jax.tree.map(lambda leaf: leaf[::2], draws)
-    (of_some, _, _), _ = jax.jit(some.learner._gradients)(state.learner, state.replay, picked)
+    (of_some, _, _), *_ = jax.jit(some.learner._gradients)(state.learner, state.replay, picked)
     for one, two in zip(jax.tree.leaves((of_half, critics)), jax.tree.leaves((of_some, of_all)), strict=True):
         np.testing.assert_allclose(one, two, rtol=1e-4, atol=1e-6)
 
@@ -153,10 +221,16 @@ def test_ltes_that_critics_see_are_taught_by_them(monkeypatch):
     ids=["residual critics", "categorical critics of residual blocks"],
 )
 def test_the_bandit_is_solved_with_them(changes):
-    program = bandit(**changes)
-    state = train_on(program, begin(program), 20)
-    played = evaluate(program, state.learner.policy, jax.random.key(2), 4)
-    np.testing.assert_allclose(played.late["action"], [[-0.5] * 4, [0.5] * 4], atol=0.1)
+    solve(bandit(**changes))
+
+
+def test_critics_with_batch_norm_solve_it_with_unit_weights_and_moving_statistics_while_outcomes_are_predicted():
+    network = {"critic_bins": 21, "critic_batch_norm": True}
+    critics = solve(bandit(network=network, sac={"return_scale": 10.0, "outcome_weight": 0.1})).critics
+    for path, leaf in jax.tree_util.tree_leaves_with_path(critics):
+        if is_kernel(path):
+            np.testing.assert_allclose(jnp.linalg.norm(leaf, axis=-2), 1.0, rtol=1e-5)
+    assert all(bool((leaf != leaf.flatten()[0]).any()) for leaf in jax.tree.leaves(critics["batch_stats"]))
 
 
 @pytest.mark.parametrize(

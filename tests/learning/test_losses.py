@@ -22,6 +22,7 @@ def batch(**changes) -> Batch:
         "action": jnp.zeros((3, 1)),
         "next_obs": jnp.zeros((3, 1)),
         "reward": jnp.array([1.0, 2.0, 3.0]),
+        "outcome": {},
         "terminated": jnp.array([False, True, False]),
         "task": jnp.array([0, 0, 1]),
     }

@@ -130,8 +130,8 @@ def test_pessimism_weighs_the_critics_for_the_policy_and_for_the_target(program,
     def of(pessimism: jax.Array) -> tuple[jax.Array, jax.Array]:
         sac = dataclasses.replace(program.config.sac, pessimism=pessimism)
         learner = dataclasses.replace(program.learner, config=dataclasses.replace(program.config, sac=sac))
-        metrics = learner._gradients(begun.learner, begun.replay, draws)[1]
-        return metrics["actor_loss"], jnp.mean(learner._target(begun.learner, going, table, draws.next))
+        metrics = learner._gradients(begun.learner, begun.replay, draws)[2]
+        return metrics["actor_loss"], jnp.mean(learner._target(begun.learner, going, table, draws.next)[-1])
 
     losses, targets = jax.jit(jax.vmap(of))(jnp.array([0.0, 0.5, 1.0]))  # compiled once for all three
     assert losses[0] < losses[1] < losses[2]

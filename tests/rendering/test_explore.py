@@ -6,6 +6,7 @@ import base64
 import json
 import re
 import shutil
+import webbrowser
 from dataclasses import replace
 from pathlib import Path
 
@@ -88,9 +89,12 @@ def test_a_page_holds_all_to_the_millimetre(tmp_path):
     assert "{{" not in (tmp_path / "page.html").read_text()
 
 
-def test_the_command_makes_a_page_of_a_run(run, capsys):
-    assert main(["explore", str(run), "--replay", "--places", "12", "--steps", "40", "--json"]) == 0
+def test_the_command_makes_a_page_of_a_run_and_opens_it(run, monkeypatch, capsys):
+    opened: list[str] = []
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    assert main(["explore", str(run), "--replay", "--places", "12", "--steps", "40", "--json", "--open"]) == 0
     document = json.loads(capsys.readouterr().out)
+    assert opened == [Path(document["page"]).resolve().as_uri()]
     data = held(Path(document["page"]))
     assert Path(document["page"]) == run / "explore_seed0_replay_places-12_steps-40.html"
     assert document["live"] is False

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import html
 import json
 import re
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ MODULES = (
     *("blobs", "program", "physics", "colours", "sphere", "camera", "robot", "trace"),
     *("steering", "keeping", "main"),
 )
+LICENSED = ("mujoco", "gymnasium", "metaworld")  # packages of which a page holds parts: physics and robots
 
 
 def write_live_page(path: Path, robots: Sequence[tuple[dict[str, Any], str]], wasm: Wasm) -> Path:
@@ -34,6 +37,7 @@ def write_live_page(path: Path, robots: Sequence[tuple[dict[str, Any], str]], wa
     parts = {
         "style": (SOURCES / "page.css").read_text(encoding="utf-8"),
         "script": script(),
+        "licences": html.escape(licences()),
         "data": data.replace("<", "\\u003c"),  # so that no name can end the script
         "blobs": "\n".join(f'<script type="text/plain" id="{name}">{text}</script>' for name, text in blobs.items()),
     }
@@ -48,3 +52,14 @@ def script() -> str:
     joined = "\n".join(texts)
     joined = re.sub(r'^import \{[^}]*\} from "\./\w+\.js";\n', "", joined, flags=re.MULTILINE)
     return re.sub(r"^export ", "", joined, flags=re.MULTILINE)
+
+
+def licences() -> str:
+    """Returns the licences of the packages of which a page holds parts, as far as they are installed."""
+    texts = []
+    for package in LICENSED:
+        try:
+            texts += [f"{package}\n\n{file.read_text()}" for file in files(package) or [] if file.name == "LICENSE"]
+        except PackageNotFoundError:
+            continue
+    return "\n\n".join(texts)

@@ -2,10 +2,12 @@
 import { angles, axes, blend, dot, onSphere, seen, unflat, unit, unseen } from "./sphere.js";
 
 const TURN = .06, MOVE = .04;  // radians for one key
+const REACH = .09;  // radians: a pointer is at a task's dot, or on the arc between two
 const POLE = 1.45;  // radians: the globe is never seen from straight above
 
 export function makeSteering(tasks, changed) {
-  const middle = Math.floor((tasks.length - 1) / 2), steering = { code: null, task: null, pair: [middle, middle], share: 1 };
+  const middle = Math.floor((tasks.length - 1) / 2);
+  const steering = { code: null, task: null, pair: [middle, middle], share: 1, held: null };
 
   steering.choose = (code) => {
     [steering.code, steering.task] = [unit(code), null];
@@ -27,6 +29,22 @@ export function makeSteering(tasks, changed) {
     steering.task = share === 0 ? one : share === 1 ? other : null;
     reveal();
     changed();
+  };
+  // Begins a drag: goes to the task whose dot is there, or else to the embedding itself.
+  steering.hold = (code) => {
+    const away = tasks.map((task) => angle(task.lte, code)), least = Math.min(...away);
+    steering.held = least < REACH ? away.indexOf(least) : null;
+    if (steering.held === null) steering.choose(code); else steering.go(steering.held);
+  };
+  // Goes on with it: a drag from one dot toward another keeps to the arc between them, a blend of the two tasks.
+  steering.drag = (code) => {
+    const { held } = steering, arcs = held === null ? [] : tasks
+      .map((task, index) => ({ index, ...nearest(tasks[held].lte, task.lte, code) }))
+      .filter(({ index, away }) => index !== held && away < REACH);
+    if (!arcs.length) return steering.choose(code);
+    const { index, share } = arcs.reduce((one, other) => other.away < one.away ? other : one);
+    steering.pair = [held, index];
+    steering.mix(share);
   };
   steering.turn = (east, north) => {
     const view = steering.view;
@@ -65,12 +83,12 @@ export function listen(globe, globeCanvas, map, steering) {
     const box = globeCanvas.getBoundingClientRect(), radius = globe.radius();
     return [(event.clientX - box.left - box.width / 2) / radius, -(event.clientY - box.top - box.height / 2) / radius];
   };
-  function point(event) {
+  function point(event, steer) {
     steering.aim = null;
     const [x, y] = at(event), far = Math.hypot(x, y), frame = axes(steering.view);
     const reached = far < 1 ? [x, y, Math.sqrt(1 - far * far)] : [x / far, y / far, 0];
     const code = unseen(frame, reached);
-    steering.choose(code);
+    steer(code);
     if (far > .97) steering.turn(.03 * reached[0], .03 * reached[1]);
     steering.aim = null;
   }
@@ -78,11 +96,11 @@ export function listen(globe, globeCanvas, map, steering) {
     globeCanvas.setPointerCapture(event.pointerId);
     const turns = event.button === 2 || event.shiftKey || Math.hypot(...at(event)) > 1.06;
     turning = turns ? [event.clientX, event.clientY] : null;
-    if (!turning) point(event);
+    if (!turning) point(event, steering.hold);
   });
   globeCanvas.addEventListener("pointermove", (event) => {
     if (!event.buttons) return;
-    if (!turning) return point(event);
+    if (!turning) return point(event, steering.drag);
     const radius = globe.radius();
     steering.turn((turning[0] - event.clientX) / radius, (event.clientY - turning[1]) / radius);
     turning = [event.clientX, event.clientY];
@@ -93,13 +111,13 @@ export function listen(globe, globeCanvas, map, steering) {
     steering.turn((event.deltaX || event.deltaY) / 400, event.deltaX ? event.deltaY / 400 : 0);
   }, { passive: false });
 
-  const onMap = (event) => {
+  const onMap = (event, steer) => {
     const box = map.getBoundingClientRect();
     const code = unflat(4 * (event.clientX - box.left) / box.width - 2, 1 - 2 * (event.clientY - box.top) / box.height);
-    if (code) steering.choose(code);
+    if (code) steer(code);
   };
-  map.addEventListener("pointerdown", (event) => { map.setPointerCapture(event.pointerId); onMap(event); });
-  map.addEventListener("pointermove", (event) => { if (event.buttons) onMap(event); });
+  map.addEventListener("pointerdown", (event) => { map.setPointerCapture(event.pointerId); onMap(event, steering.hold); });
+  map.addEventListener("pointermove", (event) => { if (event.buttons) onMap(event, steering.drag); });
   for (const canvas of [globeCanvas, map])
     canvas.addEventListener("keydown", (event) => {
       const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
@@ -117,10 +135,18 @@ export function listen(globe, globeCanvas, map, steering) {
 
 // The arc of a blend, in points of the sphere.
 export function arc(one, other) {
-  const angle = Math.acos(Math.max(-1, Math.min(1, dot(one, other)))), count = Math.max(2, Math.ceil(angle / .06));
-  if (angle < 1e-6 || angle > Math.PI - 1e-3) return [one, other];
-  return Array.from({ length: count + 1 }, (_, index) => {
-    const [a, b] = [Math.sin(angle * (1 - index / count)), Math.sin(angle * index / count)];
-    return unit(one.map((part, axis) => a * part + b * other[axis]));
-  });
+  const whole = angle(one, other), count = Math.max(2, Math.ceil(whole / .06));
+  if (whole < NONE || whole > HALF) return [one, other];
+  return Array.from({ length: count + 1 }, (_, index) => blend(one, other, shareAt(whole, whole * index / count)));
 }
+// The place on that arc that is nearest to a point of the sphere, as a share of the blend, and how far away it is.
+export function nearest(one, other, code) {
+  const whole = angle(one, other);
+  if (whole < NONE || whole > HALF) return { share: 0, away: Infinity };
+  const ahead = unit(other.map((part, axis) => part - dot(one, other) * one[axis]));
+  const share = shareAt(whole, Math.max(0, Math.min(whole, Math.atan2(dot(code, ahead), dot(code, one)))));
+  return { share, away: angle(blend(one, other, share), code) };
+}
+const NONE = 1e-6, HALF = Math.PI - 1e-3;  // radians: an arc of no length, and one without a direction
+const angle = (one, other) => Math.acos(Math.max(-1, Math.min(1, dot(one, other))));
+const shareAt = (whole, part) => Math.sin(part) / (Math.sin(part) + Math.sin(whole - part));
