@@ -26,6 +26,7 @@ def fault(directory: Path) -> str | None:
 
     Names in the manifest are never opened. Only regular files found in the directory are read.
     """
+    name = NAME
     try:
         present = [name for name in _files(directory) if name != NAME]
         manifest = (directory / NAME).read_text()
@@ -43,7 +44,8 @@ def fault(directory: Path) -> str | None:
     except FileNotFoundError as error:
         return f"{Path(error.filename).name} is missing"
     except OSError as error:
-        return f"{Path(error.filename).name} cannot be read: {error.strerror}"
+        # An error while a file is read, and not when it is opened, does not name it.
+        return f"{Path(error.filename).name if error.filename else name} cannot be read: {error.strerror}"
     except UnicodeDecodeError:
         return f"{NAME} is damaged"
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import hashlib
 import os
 import random
 import shutil
@@ -144,6 +146,22 @@ def test_a_run_whose_newest_checkpoint_is_damaged_ends_the_same(finished, capsys
     for one, two in zip(leaves(before), leaves(last_state(finished, finished_config())), strict=True):
         np.testing.assert_array_equal(one, two)
     assert [row["epoch"] for row in records.read_rows(finished / "metrics.jsonl")][::2] == list(range(2, 25, 2))
+
+
+@pytest.mark.parametrize("of", ["about.json", manifest.NAME])
+def test_a_file_that_the_disk_cannot_read_is_named_and_the_step_before_used(of, steps, monkeypatch):
+    """As at a bad sector: the file opens, and an error without its name follows."""
+    bad, digest, read_text = str(steps / "4" / of), hashlib.file_digest, Path.read_text
+
+    def check(name: object) -> None:
+        if str(name) == bad:
+            raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(hashlib, "file_digest", lambda file, kind: check(file.name) or digest(file, kind))
+    monkeypatch.setattr(Path, "read_text", lambda path, **how: check(path) or read_text(path, **how))
+    epoch, (warning,) = newest(steps)
+    assert epoch == 2
+    assert f"{of} cannot be read: Input/output error" in warning
 
 
 def test_without_a_good_step_nothing_is_started_anew(steps):
