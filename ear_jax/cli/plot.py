@@ -15,7 +15,7 @@ from ear_jax.cli.arguments import option, parse, required
 from ear_jax.cli.results import print_pictures, short_hash
 from ear_jax.errors import UsageError
 from ear_jax.process.terminal import say
-from ear_jax.runs.groups import Group, Run, group, read
+from ear_jax.runs.groups import Group, RunRecords, group, read
 
 PLOTS = Path("plots")
 
@@ -60,7 +60,7 @@ def main(words: list[str]) -> None:
         print_pictures(paths)
 
 
-def _readable(paths: Iterable[Path]) -> list[Run]:
+def _readable(paths: Iterable[Path]) -> list[RunRecords]:
     """Reads the runs among some paths, and tells which are none: `runs/*` also names results of pretrained agents.
 
     Raises:

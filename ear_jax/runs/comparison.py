@@ -8,7 +8,7 @@ import numpy as np
 
 from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import records
-from ear_jax.runs.groups import Group, Run
+from ear_jax.runs.groups import Group, RunRecords
 from ear_jax.runs.statistics import bootstrap_interval, interquartile_mean, probability_of_improvement
 
 Returns = list[dict[str, float]]  # of every seed, by task
@@ -97,7 +97,7 @@ def _distinct(values: list[Any]) -> Any:
     return distinct[0] if len(distinct) == 1 else distinct
 
 
-def _evaluated(run: Run) -> Returns | None:
+def _evaluated(run: RunRecords) -> Returns | None:
     """Returns the returns of a run's evaluation, if there is one of its last policies."""
     path = run.path / EVALUATIONS
     if not path.is_file():

@@ -22,7 +22,7 @@ APART = ("seed", "seeds", "engine", "minutes", "checkpoint.*", "log.*")  # setti
 
 
 @dataclass(frozen=True)
-class Run:
+class RunRecords:
     """A run's records."""
 
     path: Path
@@ -42,7 +42,7 @@ class Group:
     """Seeds of one kind, perhaps from several runs."""
 
     name: str
-    runs: tuple[Run, ...]
+    runs: tuple[RunRecords, ...]
 
     @property
     def seeds(self) -> list[Rows]:
@@ -50,7 +50,7 @@ class Group:
         return [rows for run in self.runs for rows in run.seeds.values()]
 
 
-def read(path: Path) -> Run:
+def read(path: Path) -> RunRecords:
     """Reads a run's settings and metrics.
 
     Raises:
@@ -65,12 +65,12 @@ def read(path: Path) -> Run:
         seeds = {seed: [row for row in rows if row["seed"] == seed] for seed in sorted({row["seed"] for row in rows})}
     except (KeyError, TypeError) as error:
         raise RunError(f"{path / 'metrics.jsonl'} cannot be read: a row lacks {error}") from None
-    return Run(path, flat(from_dict(document["config"])), seeds)
+    return RunRecords(path, flat(from_dict(document["config"])), seeds)
 
 
-def group(runs: Iterable[Run]) -> list[Group]:
+def group(runs: Iterable[RunRecords]) -> list[Group]:
     """Groups runs of equal settings whose seeds differ, in the order given; a repeated seed begins another group."""
-    groups: list[list[Run]] = []
+    groups: list[list[RunRecords]] = []
     for run in runs:
         mine = (
             members
@@ -148,7 +148,7 @@ def band(members: Group, metric: str, by: str) -> tuple[np.ndarray, np.ndarray]:
     return places, np.stack([np.interp(places, own, values) for own, values in curves])
 
 
-def _name(runs: Sequence[Run]) -> str:
+def _name(runs: Sequence[RunRecords]) -> str:
     """Returns the name of a group, without its seeds if there are several."""
     several = sum(len(run.seeds) for run in runs) > 1
     return _without_seed(runs[0].path) if several else runs[0].path.name

@@ -8,6 +8,7 @@ of the process that trains it, and `failure.json` if a metric was not finite.
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import os
 import platform
@@ -73,6 +74,7 @@ def versions() -> dict[str, str | None]:
     return {"ear_jax": ear_jax.__version__, **{package: version(package) for package in PACKAGES}}
 
 
+@functools.cache  # a sweep asks for every run
 def commit() -> str | None:
     """Returns the checkout's commit, marked `+changes` if files other than results differ; None outside a checkout."""
     here = Path(__file__).resolve().parent

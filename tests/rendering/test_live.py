@@ -102,7 +102,7 @@ def test_the_page_has_every_operation_that_programs_use():
 
 def test_what_the_page_cannot_compute_is_named():
     for function, words in (
-        (jnp.linalg.inv, "the page cannot compute JAX's operation"),
+        (jnp.linalg.inv, "JAX's operation '"),
         (lambda x: x[0, x[1, 0].astype(int)], "at a place that varies"),
     ):
         with pytest.raises(UsageError, match=words):

@@ -76,7 +76,7 @@ def translate(function: Callable[..., Any], constants: Constants, *arguments: An
       order of their leaves.
 
     Raises:
-      UsageError: the function has an operation that the page lacks.
+      UsageError: the function has an operation that cannot be translated.
     """
     closed = jax.make_jaxpr(function)(*arguments)
     program = _Program(constants)
@@ -155,7 +155,7 @@ class _Program:
         if name == "integer_pow":
             name, operands = "pow", [*operands, np.full((), params["y"], np.float32)]
         if name not in ELEMENTWISE:
-            raise UsageError(f"the page cannot compute JAX's operation {name!r}")
+            raise UsageError(f"JAX's operation {name!r} cannot be translated")
         shapes = [_array(atom).shape for atom in equation.invars] + [()] * (len(operands) - len(equation.invars))
         spread = [
             self._broadcast(*pair, _array(equation.outvars[0]).shape) for pair in zip(operands, shapes, strict=True)
@@ -175,9 +175,7 @@ class _Program:
         indexed = equation.primitive.name in INDEXED
         data = operands[:1] if indexed else operands
         if indexed and any(isinstance(operand, int) for operand in operands[1:]):
-            raise UsageError(
-                f"the page cannot compute JAX's operation {equation.primitive.name!r} at a place that varies"
-            )
+            raise UsageError(f"JAX's operation {equation.primitive.name!r} cannot be translated at a place that varies")
         first, indices = 0, []
         for atom in equation.invars[: len(data)]:
             indices.append(np.arange(first, first + _array(atom).size, dtype=np.int32).reshape(_array(atom).shape))
@@ -191,7 +189,7 @@ class _Program:
         index = np.asarray(index).reshape(-1)
         total = sum(self.sizes[slot] for slot in slots)
         if index.min(initial=0) < 0 or index.max(initial=0) >= total:
-            raise UsageError("the page cannot take numbers from outside an array")
+            raise UsageError("numbers from outside an array cannot be translated")
         if len(slots) == 1 and np.array_equal(index, np.arange(total)):
             return slots[0]
         return self.step("take", index.size, slots, index.tolist())
@@ -211,7 +209,7 @@ class _Program:
     def _multiplied(self, equation: JaxprEqn, operands: list[Value]) -> int:
         ((left_axes, right_axes), (batch, _)) = equation.params["dimension_numbers"]
         if batch:
-            raise UsageError("the page cannot multiply batches of matrices")
+            raise UsageError("products of batches of matrices cannot be translated")
         (left, right), (left_atom, right_atom) = operands, equation.invars
         left_kept = [axis for axis in range(_array(left_atom).ndim) if axis not in left_axes]
         right_kept = [axis for axis in range(_array(right_atom).ndim) if axis not in right_axes]
