@@ -126,4 +126,4 @@ def test_model_cards_have_the_front_matter_of_hubs(name):
     assert spread == pytest.approx(np.std([task["return"] for task in card["tasks"]]), abs=0.01)
     for task in card["tasks"]:
         assert f"| {task['name']} |" in text
-    assert card["limits"] in text
+    assert card["limits"] in text.replace("\\", ""), "but for marks that Markdown would read"
