@@ -22,9 +22,12 @@ HEADINGS = {
     "mid_task": "midway",
     "one_to_one": "between",
     "one_to_one_outcome": "at β = ½",
+    "fresh_outcome": "again",
+    "fresh": "holds",
 }
 MEASURES = {
     "mid_task": "midway: a blend, β from 0.1 to 0.9, meets the value midway",
+    "fresh": "holds: in 10 fresh episodes the blend found, `again`, still meets the value",
     "one_to_one": "between: the half-and-half blend, β = ½, lies between the two tasks",
 }
 

@@ -27,6 +27,8 @@ BETAS = tuple(round(0.01 * step, 2) for step in range(1, 100))
 MID_TASK_RANGE = (0.1, 0.9)  # in which the paper looks for a suitable β
 # The paper gives no tolerance; its tables count 1.60 for 1.5 m/s as a miss and 9.51 for 9.5 as a hit.
 REACHED = 0.05  # of the distance between the two tasks
+FRESH = 10  # episodes in which the blend found is played again
+AGAIN = 0x0A6A1  # keeps their starts apart from those of the search
 
 
 @dataclass(frozen=True)
@@ -98,26 +100,44 @@ def play_blends(
       UsageError: no pairs, or `arc` for codes that do not lie on a sphere.
       RunError: the episodes do not fit in memory.
     """
+    seeds = trained.program.config.seeds
+    return _play(trained, pairs, np.broadcast_to(betas, (seeds, len(pairs), len(betas))), episodes, seed, along)
+
+
+def play_again(trained: Trained, pairs: Sequence[Pair], betas: np.ndarray, seed: int, along: str) -> np.ndarray:
+    """Plays one blend a seed and pair, β [seeds, pairs], in fresh episodes; returns what each achieves, of that shape.
+
+    The best of many blends on a few episodes is partly the best of their noise; this is without.
+    """
+    return _play(trained, pairs, betas[..., None], FRESH, seed + AGAIN, along)[..., 0]
+
+
+def _play(
+    trained: Trained, pairs: Sequence[Pair], betas: np.ndarray, episodes: int, seed: int, along: str
+) -> np.ndarray:
+    """Plays blends β [seeds, pairs, betas]; returns what each achieves, of that shape."""
     if not pairs:
         raise UsageError(f"{trained.name} has no two tasks with a target {trained.program.family.commanded}")
     program, agent = trained.program, trained.program.agent
-    count = program.config.seeds * len(pairs) * len(betas) * episodes
-    check_rollouts(program, count, program.family.episode_length)
+    check_rollouts(program, betas.size * episodes, program.family.episode_length)
     firsts, seconds = (jnp.stack([end.codes for end in ends], axis=1) for ends in zip(*pairs, strict=True))
     over_betas = jax.vmap(between(agent, along), in_axes=(None, None, 0))
 
-    def of_seed(policy: Params, key: jax.Array, first: jax.Array, second: jax.Array) -> jax.Array:
-        codes = jax.vmap(over_betas, in_axes=(0, 0, None))(first, second, jnp.array(betas))
+    def of_seed(policy: Params, key: jax.Array, first: jax.Array, second: jax.Array, betas: jax.Array) -> jax.Array:
+        codes = jax.vmap(over_betas)(first, second, betas)
         played = play_codes(program, policy, codes.reshape(-1, agent.code_size), key, episodes)
         return achieved(program.family, played)
 
-    return for_each_seed(trained, of_seed, seed, firsts, seconds).reshape(-1, len(pairs), len(betas))
+    given = jnp.asarray(betas, jnp.float32)
+    return for_each_seed(trained, of_seed, seed, firsts, seconds, given).reshape(betas.shape)
 
 
 def interpolate(
     trained: Trained, pairs: Sequence[Pair], target: float | None, episodes: int, seed: int, along: str = "chord"
 ) -> dict[str, Any]:
     """Finds for every seed and pair the β that comes nearest to the target, and the paper's two measures of success.
+
+    The β found is played again in `FRESH` episodes from other starts: `fresh` says whether it meets the target there.
 
     Args:
       trained: the run.
@@ -135,16 +155,18 @@ def interpolate(
     family = trained.program.family
     if target is not None:
         _check_reach(family, pairs[0], reached, target)
+    found = [[_nearest(family, pair, row, target) for pair, row in zip(pairs, rows, strict=True)] for rows in reached]
+    again = play_again(trained, pairs, np.array(BETAS)[found], seed, along)
     scored = [
-        {"seed": trained.program.config.seed + index, **_score_pair(family, first, second, row, target)}
-        for index, rows in enumerate(reached)
-        for (first, second), row in zip(pairs, rows, strict=True)
+        {"seed": trained.program.config.seed + index, **_score_pair(family, pair, row, target, fresh)}
+        for index, (rows, of_pairs) in enumerate(zip(reached, again, strict=True))
+        for pair, row, fresh in zip(pairs, rows, of_pairs, strict=True)
     ]
 
     def count(measure: str) -> dict[str, int]:
         return {"success": sum(pair[measure] for pair in scored), "total": len(scored)}
 
-    counts = {"mid_task": count("mid_task"), "one_to_one": count("one_to_one")}
+    counts = {measure: count(measure) for measure in ("mid_task", "fresh", "one_to_one")}
     return {"pairs": scored, **counts, "betas": BETAS, "commanded": family.quantity}
 
 
@@ -156,13 +178,22 @@ def _check_reach(family: Family, pair: Pair, reached: np.ndarray, target: float)
         raise UsageError(f"no blend of {pair[0].name} and {pair[1].name} comes near {target:g}; they reach {span}")
 
 
-def _score_pair(family: Family, first: End, second: End, reached: np.ndarray, target: float | None) -> dict[str, Any]:
-    """Scores one pair by what its blends achieve at `BETAS`, `reached` [betas]."""
-    betas = np.array(BETAS)
-    gap = family.difference(second.target, first.target)
-    middle = first.target + gap / 2
-    aim = middle if target is None else target
-    best = int(np.argmin(np.abs(family.difference(reached, aim))))
+def _aim(family: Family, pair: Pair, target: float | None) -> tuple[float, float]:
+    """Returns the value to meet, by default that midway, and the distance between the two tasks, with its sign."""
+    gap = family.difference(pair[1].target, pair[0].target)
+    return (pair[0].target or 0.0) + gap / 2 if target is None else target, gap
+
+
+def _nearest(family: Family, pair: Pair, reached: np.ndarray, target: float | None) -> int:
+    """Returns the index in `BETAS` of the blend that comes nearest to the value to meet."""
+    return int(np.argmin(np.abs(family.difference(reached, _aim(family, pair, target)[0]))))
+
+
+def _score_pair(family: Family, pair: Pair, reached: np.ndarray, target: float | None, fresh: float) -> dict[str, Any]:
+    """Scores one pair by what its blends achieve at `BETAS`, `reached` [betas], and the one found in fresh episodes."""
+    betas, (first, second) = np.array(BETAS), pair
+    best, (aim, gap) = _nearest(family, pair, reached, target), _aim(family, pair, target)
+    middle, _ = _aim(family, pair, None)
     inside = (betas > MID_TASK_RANGE[0]) & (betas < MID_TASK_RANGE[1])
     halfway = reached[BETAS.index(0.5)]
     share = family.difference(halfway, first.target) / gap  # 0 at the first task, 1 at the second
@@ -171,6 +202,8 @@ def _score_pair(family: Family, first: End, second: End, reached: np.ndarray, ta
         "target": aim,
         "beta": BETAS[best],
         "outcome": float(reached[best]),
+        "fresh_outcome": float(fresh),
+        "fresh": bool(abs(family.difference(fresh, aim)) <= REACHED * abs(gap)),
         "mid_task": bool((np.abs(family.difference(reached, middle))[inside] <= REACHED * abs(gap)).any()),
         "one_to_one": bool(0 < share < 1),
         "one_to_one_outcome": float(halfway),

@@ -83,6 +83,8 @@ def test_beta_search_finds_the_closed_form(toy):
     assert found["one_to_one_outcome"] == pytest.approx(0, abs=1e-5)
     assert found["one_to_one"]
     assert found["mid_task"]
+    assert found["fresh_outcome"] == pytest.approx(found["outcome"], abs=1e-5)
+    assert found["fresh"]
 
 
 def test_extrapolation_follows_the_formula(toy):
@@ -98,6 +100,7 @@ def test_a_pair_without_a_value_between_fails_both_measures(toy):
     found = interpolate(trained, [tuple(trained_ends(trained))], None, 1, 0)
     assert found["mid_task"] == {"success": 0, "total": 1}
     assert found["one_to_one"] == {"success": 0, "total": 1}
+    assert found["fresh"] == {"success": 0, "total": 1}
 
 
 def test_neighbours_of_directions_wrap():
