@@ -50,6 +50,7 @@ bench: setup
 	$(BIN)/python -m benchmarks.startup
 	$(BIN)/python -m benchmarks.adaptation
 	$(BIN)/python -m benchmarks.saving
+	$(BIN)/python -m benchmarks.scale
 	$(BIN)/python -m benchmarks.peers
 	$(BIN)/python -m benchmarks.time_to_return
 	$(BIN)/python -m benchmarks.figures

@@ -78,6 +78,7 @@ class Trial:
 def main(words: list[str]) -> None:
     command, trials = read(words)
     from ear_jax.runs.loop import Run, train_runs
+    from ear_jax.runs.on_ray import load_ray
     from ear_jax.runs.side_by_side import programs
 
     directory, configs = command.directory, [trial.config for trial in trials]
@@ -85,6 +86,8 @@ def main(words: list[str]) -> None:
     if command.dry_run:
         print_plan(groups, directory)
         return
+    if command.on == "ray":
+        load_ray()
     plan = {trial.name: trial.changes for trial in trials}
     with hosts.parting():
         hosts.agree(lambda: sweep.begin(directory, command.config.family, plan))

@@ -76,11 +76,14 @@ class Relay:
 
         def outwards() -> None:
             _pump(near, far)
+            with contextlib.suppress(OSError):
+                far.shutdown(socket.SHUT_WR)
 
-        threading.Thread(target=outwards, daemon=True).start()
-        _pump(far, near)
-        if self.armed:
-            self._ended(name)
+        with far, near:
+            threading.Thread(target=outwards, daemon=True).start()
+            _pump(far, near)
+            if self.armed:
+                self._ended(name)
 
 
 def _each(listening: socket.socket, accept: Callable[[socket.socket], None]) -> None:

@@ -56,7 +56,7 @@ def run_jobs(jobs: Sequence[Job], logs: Path, cores: int) -> dict[str, str]:
       RunError: Ray is not installed or cannot be reached.
       Stopped: a signal stopped the jobs.
     """
-    ray = _ray()
+    ray = load_ray()
     logs.mkdir(parents=True, exist_ok=True)
     with _connected(ray) as resources, StopRequest(say) as request:
         _check_resources(resources, cores)
@@ -81,10 +81,10 @@ def check(failed: Mapping[str, str], logs: Path) -> None:
         raise RunError(f"{len(failed)} runs failed: {reasons} (all they said is in {logs})")
 
 
-def _ray() -> Any:
+def load_ray() -> Any:
     """Returns Ray; raises RunError, with the way to install it, if it is missing."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    os.environ.setdefault("RAY_worker_niceness", "0")  # of a cluster that is started here; Ray's own is 15
     try:
         import ray
     except ImportError:
@@ -99,9 +99,7 @@ def _connected(ray: Any) -> Iterator[Mapping[str, float]]:
     try:
         ray.init(log_to_driver=False, logging_level="error", include_dashboard=False, configure_logging=True)
     except Exception as error:
-        raise RunError(
-            f"Ray cannot start or be reached: {(str(error).splitlines() or [type(error).__name__])[0]}"
-        ) from None
+        raise RunError(f"Ray cannot start or be reached: {first_line(error)}") from None
     try:
         yield ray.cluster_resources()
     finally:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
-os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_MULTI_TENANCY": "1"}
+os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_worker_niceness": "0"}
 
 if __name__ == "__main__":
     from ray.cluster_utils import Cluster

@@ -84,6 +84,15 @@ def last_state(run: Path, config, warn=pytest.fail) -> training.TrainState:
     return checkpoint.restore(checkpoint.newest(run / "checkpoints", warn), like)
 
 
+def step_arrays(run: Path, epoch: int | None = None) -> dict[str, np.ndarray]:
+    """Returns the arrays of a run's newest step by name, or those of the step of an epoch."""
+    step = checkpoint.newest(run / "checkpoints", pytest.fail, epoch)
+    assert step is not None
+    assert epoch in (None, step.epoch)
+    like = {name: jax.ShapeDtypeStruct(shape, dtype) for name, (dtype, shape) in step.about["leaves"].items()}
+    return jax.device_get(checkpoint.restore(step, like))
+
+
 def assert_same_run(one: Path, other: Path, config: Config) -> None:
     """Asserts the same last state to the bit, and the same rows but for the clock."""
     for mine, yours in zip(leaves(last_state(one, config)), leaves(last_state(other, config)), strict=True):
