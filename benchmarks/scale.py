@@ -18,11 +18,21 @@ from dataclasses import replace
 from typing import Any
 
 from benchmarks import common
+from ear_jax.runs import records
+from experiments.report import documents
 
+DOCUMENT, PLACE = common.RESULTS.parent.parent / "docs" / "scale.md", "costs"
 SIZES = {"seeds": ((1, 10), (2, 10), (4, 10), (8, 10)), "tasks": ((1, 10), (1, 100), (1, 1000))}
 QUICK = {"seeds": ((1, 2), (2, 2)), "tasks": ((1, 2), (1, 4))}
 EPOCHS_HELD = 5  # epochs of collection that the replay holds; those of `fast` are 100
-COSTS = ("collect_seconds", "update_seconds", "evaluate_seconds", "state_bytes", "peak_bytes")
+WORDS = {
+    "collect_seconds": "collection grows with them",
+    "update_seconds": "an update",
+    "evaluate_seconds": "evaluation",
+    "state_bytes": "state",
+    "peak_bytes": "peak memory",
+}
+COSTS = tuple(WORDS)
 
 
 def measure(seeds: int, tasks: int, repeats: int) -> dict[str, float]:
@@ -99,10 +109,79 @@ def against(options: argparse.Namespace, axis: str, sizes: tuple[tuple[int, int]
         common.write_row(options, "scale", row)
 
 
+def newest(benchmark: str) -> list[dict[str, Any]]:
+    """Returns the last whole measurement of each size, or of each other row's kind."""
+    rows = [row for row in records.read_rows(common.RESULTS / f"{benchmark}.jsonl") if not row["quick"]]
+    return list({(row.get("axis"), row.get("seeds"), row.get("tasks")): row for row in rows}.values())
+
+
+def total_growth(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Returns by cost the exponent over a whole axis."""
+    sizes = [row["seeds"] * row["tasks"] for row in rows]
+    return growth(rows[0], rows[-1], sizes[-1] / sizes[0])
+
+
+def costs() -> str:
+    """Returns the measured part of docs/scale.md."""
+    found, lines = newest("scale"), []
+    lines += [
+        "| seeds | tasks | collection of an epoch | an update | an evaluation | state | peak memory |",
+        "|" + "---|" * 7,
+    ]
+    seen = set()
+    for row in found:
+        if (size := (row["seeds"], row["tasks"])) not in seen:
+            seen.add(size)
+            lines.append(
+                f"| {row['seeds']} | {row['tasks']:,} | {row['collect_seconds']:.2f} s | "
+                f"{1e3 * row['update_seconds']:,.0f} ms | {row['evaluate_seconds']:.2f} s | "
+                f"{row['state_bytes'] / 1e6:,.0f} MB | {row['peak_bytes'] / 1e9:.1f} GB |"
+            )
+    told = []
+    for axis in SIZES:
+        rows = [row for row in found if row["axis"] == axis]
+        powers = ", ".join(f"{WORDS[name]} to the power {power:.2f}" for name, power in total_growth(rows).items())
+        told.append(f"From {rows[0][axis]} to {rows[-1][axis]:,} {axis}: {powers}.")
+    (saving,), (cluster,) = newest("saving"), newest("cluster")
+    return "\n".join((*lines, "", " ".join(told), "", plan(found, saving), "", _ray(cluster)))
+
+
+def plan(rows: list[dict[str, Any]], saving: dict[str, Any]) -> str:
+    """Returns what 1,000 seeds and 1,000 tasks would cost, in words."""
+    from ear_jax.presets import preset_config
+
+    config = preset_config("halfcheetah-vel", "fast")
+    hours = saving["seconds_between"] / saving["epochs_between"] * config.epochs / 3600
+    largest = max(rows, key=lambda row: row["tasks"])
+    factor = 1000 / largest["tasks"]  # linear beyond what was measured
+    epoch = factor * (largest["collect_seconds"] + config.sac.updates * largest["update_seconds"])
+    held = config.replay.capacity / (10 * config.collect.envs * config.collect.steps) / EPOCHS_HELD
+    return (
+        f"**On paper, 1,000 seeds** of HalfCheetah-Vel under `fast` are {1000 * hours:,.0f} core-hours on a CPU "
+        f"without evaluations, {1000 * saving['megabytes'] / 1e3:.0f} GB of state over all hosts and for each "
+        "checkpoint. Hosts hardly talk, so the first limit is the checkpoint: process 0 alone computes its checksums "
+        "while the others wait, and the file system is shared. `--checkpoint.blocks` spaces checkpoints out. "
+        f"**On paper, 1,000 tasks** need {factor * held * largest['state_bytes'] / 1e9:.0f} GB for a replay as long "
+        f"as that of `fast`, and an epoch takes {epoch / 3600:.1f} core-hours, nearly all of it updates, because the "
+        "batch grows with the tasks. So the update is the first limit: keep the batch, which then has few transitions "
+        "of each task, or use a GPU."
+    )
+
+
+def _ray(row: dict[str, Any]) -> str:
+    """Returns the overhead of Ray, in words."""
+    return (
+        f"Six runs of {row['seconds_a_run']:.0f} s, two at a time, took {row['by_hand_seconds']:.0f} s by hand and "
+        f"{row['on_ray_seconds']:.0f} s on a Ray cluster of two nodes: {100 * (row['ratio'] - 1):.1f} % more."
+    )
+
+
 def main() -> None:
     options = common.arguments(__doc__)
     for axis, sizes in (QUICK if options.quick else SIZES).items():
         against(options, axis, sizes, 1 if options.quick else 3)
+    if not options.quick:
+        documents.put(DOCUMENT, PLACE, costs())
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import common, recipe
+from benchmarks import common, recipe, scale
 from ear_jax import pretrained
 from ear_jax.runs import records
 from experiments.inventory import RECORDS
@@ -178,6 +178,10 @@ def test_documents_say_of_runs_and_commands_what_was_measured(said, document):
 def test_the_trials_of_the_recipe_are_those_of_its_rows():
     rows = records.read_rows(common.RESULTS / "recipe.jsonl")
     assert documents.read(recipe.DOCUMENT, recipe.PLACE) == recipe.trials(rows)
+
+
+def test_what_scale_costs_is_what_its_rows_say():
+    assert documents.read(scale.DOCUMENT, scale.PLACE) == scale.costs()
 
 
 def test_the_error_of_mjx_is_said_to_be_what_its_test_allows():
