@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class AdaptCommand(OnRun):
-    """Find task embeddings (LTEs) for tasks never trained on, by search and from a map of the LTE sphere.
+    """Find task embeddings (LTEs) for tasks never trained on or for any reward, by search and from a map of the sphere.
 
     PEARL infers from episodes of the task, and MAML takes gradient steps, instead of a search.
 
@@ -30,10 +30,13 @@ class AdaptCommand(OnRun):
 
     target: Annotated[tuple[str, ...], option("[TASK ...]", "the family's adaptation tasks")] = ()
     """The tasks, as in 3.6."""
+    reward: Annotated[tuple[str, ...], option("[EXPR ...]")] = ()
+    """Rewards instead, as in "-abs(velocity - 3)": of the outcomes, with + - * / **, comparisons, and, or, not,
+    X if … else Y, abs, clip, cos, exp, log, max, min, sign, sin, sqrt, tanh."""
     zero_shot: bool = False
     """Take the LTE from a map of the LTE sphere, without a search."""
     save: Annotated[str | None, option("NAME")] = None
-    """Save the LTE of the only target under this name; other commands take it as --lte NAME."""
+    """Save the LTE of the only target or reward under this name; other commands take it as --lte NAME."""
     epochs: int = 10
     """Epochs of the search; for PEARL, episodes to infer from; for MAML, gradient steps."""
     elites: int = 6
@@ -47,9 +50,17 @@ class AdaptCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    command = parse(AdaptCommand, words, "adapt")
+    command = parse(AdaptCommand, _shield(words), "adapt")
     _check(command)
     trained = command.load()
+    if command.reward:
+        _ask(command, trained)
+    else:
+        _adapt(command, trained)
+
+
+def _adapt(command: AdaptCommand, trained: Trained) -> None:
+    """Adapts to tasks of the family."""
     from ear_jax.embeddings.adapt import adapt
     from ear_jax.embeddings.search import Search, episodes_an_epoch
     from ear_jax.envs import find_task
@@ -77,6 +88,35 @@ def main(words: list[str]) -> None:
     show_and_keep(document, command.json, partial(_print, unit=family.unit), kept)
 
 
+def _ask(command: AdaptCommand, trained: Trained) -> None:
+    """Finds LTEs for rewards."""
+    from ear_jax.embeddings.rewards import adapt_to_rewards
+    from ear_jax.embeddings.search import Search
+    from ear_jax.embeddings.survey import PLACES
+    from ear_jax.envs.asked import reward_functions
+    from ear_jax.figures.adapt import draw_adapt
+
+    rewards = reward_functions(trained.program.family, [text.strip() for text in command.reward])
+    search = Search(command.epochs, command.elites, command.samples, command.sigma)
+    _check_search(trained, search)
+    if command.save is not None:
+        _check_save(command.save, trained)
+        check_writable(trained.directory)
+    with phase(f"adapting to {len(command.reward)} reward{'s' * (len(command.reward) > 1)}"):
+        chosen = None if command.zero_shot else search
+        document = adapt_to_rewards(trained, rewards, chosen, command.episodes, command.seed, PLACES)
+    if command.save is not None:
+        codes = [task["lte"] for task in document["tasks"]]
+        ltes.save(trained.directory, command.save, document["tasks"][0]["name"], codes, trained.fingerprint, "--reward")
+    kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
+    show_and_keep(document, command.json, _print_rewards, kept)
+
+
+def _shield(words: list[str]) -> list[str]:
+    """Puts a blank before words such as -abs(velocity), which would be read as options; no command has such options."""
+    return [f" {word}" if word.startswith("-") and word[1:2] != "-" and word != "-h" else word for word in words]
+
+
 def _check(command: AdaptCommand) -> None:
     """Raises UsageError for options that are wrong for any run."""
     check_least(command, epochs=1, elites=1, samples=0, episodes=1)
@@ -85,20 +125,28 @@ def _check(command: AdaptCommand) -> None:
         raise UsageError(f"--sigma {command.sigma:g} is too small; it must be above 0")
     if command.save is not None:
         ltes.check_name(command.save)
-        if len(command.target) != 1:
+        if len(command.target) + len(command.reward) != 1:
             raise UsageError(f"--save {command.save} saves the LTE of one task; name one task with --target")
+    if command.target and command.reward:
+        raise UsageError("give either --target X or --reward EXPR")
 
 
 def _check_for(trained: Trained, command: AdaptCommand, search: Search, tasks: TaskSet) -> None:
     """Raises UsageError for options that are wrong for this run or these tasks."""
-    family, agent = trained.program.family, trained.program.config.agent
+    family = trained.program.family
     untargeted = [task.name for task in tasks.tasks if task.target is None]
     if command.zero_shot and untargeted:
         raise UsageError(f"--zero-shot needs tasks with a target {family.commanded}; {untargeted[0]} has none")
     if command.save is not None:
         _check_save(command.save, trained)
         check_writable(trained.directory)
+    _check_search(trained, search)
+
+
+def _check_search(trained: Trained, search: Search) -> None:
+    """Raises UsageError for settings of a search that this run's agent does not use."""
     if trained.program.agent.finds_codes and search != type(search)(search.epochs):
+        agent = trained.program.config.agent
         raise UsageError(f"--elites, --samples and --sigma set up the cross-entropy method, which {agent} does not use")
 
 
@@ -149,3 +197,33 @@ def _of_search(epochs: list[dict[str, float]]) -> list[str]:
 
 def _of_map(answer: dict[str, Any] | None) -> list[str]:
     return [f"{answer['reevaluated']:.1f}", f"{answer['achieved']:.2f}"] if answer else ["–", "–"]
+
+
+WAYS = {
+    "map": "map: from a survey of the LTE sphere",
+    "imagined": "imagined: from what `ear imagine` learnt",
+    "search": "search: by the cross-entropy method",
+}
+
+
+def _print_rewards(document: dict[str, Any]) -> None:
+    """Prints a row per reward, seed and way, the costs of the ways, and the best LTEs."""
+    tasks, several = document["tasks"], len({task["seed"] for task in document["tasks"]}) > 1
+    names = [f"{task['name']} seed {task['seed']}" if several else task["name"] for task in tasks]
+    rows = [
+        (
+            name if way == next(iter(task["answers"])) else "",
+            way,
+            f"{answer['predicted']:.1f}",
+            f"{answer['reevaluated']:.1f}",
+            ", ".join(f"{outcome} {value:.2f}" for outcome, value in answer["outcome"].items()),
+        )
+        for name, task in zip(names, tasks, strict=True)
+        for way, answer in task["answers"].items()
+    ]
+    print_table(("reward", "way", "predicted>", "return>", "mean outcomes, second half"), rows)
+    print(f"return: the sum of rewards over an episode, mean of {document['episodes']} fresh episodes")
+    for way, cost in document["costs"].items():
+        print(f"{WAYS[way]}, {cost['env_steps']:,} env steps, {cost['seconds']:.1f} s")
+    for name, task in zip(names, tasks, strict=True):
+        print(f"best LTE for {plain(name)}, by {task['best']}: " + " ".join(f"{number:.4f}" for number in task["lte"]))

@@ -32,5 +32,6 @@ def find_end(trained: Trained, word: str) -> End:
     family, program = trained.program.family, trained.program
     if word in ltes.saved(trained.directory):
         saved = ltes.lookup(trained.directory, word, trained.fingerprint)
-        return End(word, find_task(family, saved["task"]).target, np.array(saved["codes"], np.float32))
+        target = None if saved.get("asked_by") == "--reward" else find_task(family, saved["task"]).target
+        return End(word, target, np.array(saved["codes"], np.float32))
     return trained_ends(trained)[program.tasks.index(find_task(family, word).name)]

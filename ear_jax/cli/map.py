@@ -11,6 +11,8 @@ from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, label_of, show_and_keep
 from ear_jax.process.terminal import phase
 
+SHARES = ("smooth", "lasting", "covered", "ordered")  # whose geometric mean is the space's number
+
 
 @dataclass(frozen=True, kw_only=True)
 class MapCommand(OnRun):
@@ -44,3 +46,5 @@ def _print(document: dict[str, Any]) -> None:
     for entry in document["seeds"]:
         low, high = min(entry["achieved"]), max(entry["achieved"])
         print(f"seed {entry['seed']}: {quantity} {low:.2f} to {high:.2f} {unit}")
+        if space := entry["space"]:
+            print(f"  space {space['space']:.2f}: " + ", ".join(f"{name} {space[name]:.2f}" for name in SHARES))

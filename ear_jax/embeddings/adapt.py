@@ -52,13 +52,13 @@ def adapt(
     """
     began = time.perf_counter()
     program, config = trained.program, trained.program.config
-    _check_sizes(trained, len(tasks), search, episodes)
+    check_sizes(trained, len(tasks), search, episodes)
     mapped = search is None or (program.agent.embed is not None and program.agent.on_sphere)
     targets = [(task, task.target) for task in tasks.tasks if task.target is not None and mapped]
     maps = survey(trained, places, 1, seed) if targets else []
     _check_targets(maps, program.family, [target for _, target in targets], search, within_reach)
     from_map = zero_shot(trained, maps, targets, episodes, seed) if targets else {}
-    searched = _search_all(trained, tasks, search, seed, episodes) if search else {}
+    searched = search_all(trained, tasks, search, seed, episodes) if search else {}
     adapted = [
         {
             "seed": run_seed,
@@ -90,7 +90,7 @@ def _check_targets(
             check_reach(list(maps), family, target)
 
 
-def _check_sizes(trained: Trained, tasks: int, search: Search | None, episodes: int) -> None:
+def check_sizes(trained: Trained, tasks: int, search: Search | None, episodes: int) -> None:
     """Raises RunError if a search or the episodes after it do not fit in memory."""
     program = trained.program
     at_once = max(search.candidates, episodes) if search else episodes
@@ -99,7 +99,7 @@ def _check_sizes(trained: Trained, tasks: int, search: Search | None, episodes: 
     check_rollouts(program, program.config.seeds * tasks * at_once, steps, kept // (steps * at_once))
 
 
-def _search_all(
+def search_all(
     trained: Trained, tasks: TaskSet, search: Search, seed: int, episodes: int
 ) -> dict[tuple[int, str], dict[str, Any]]:
     """Searches for all seeds and tasks in one compiled call; returns the results by seed and task."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,21 +18,24 @@ NAME = r"[A-Za-z][\w.-]*"
 LARGEST = 1e9  # a number of an LTE; float32 holds its square
 
 
-def save(run: Path, name: str, task: str, codes: Sequence[Sequence[float]], policy: str) -> None:
+def save(
+    run: Path, name: str, task: str, codes: Sequence[Sequence[float]], policy: str, asked_by: str = "--target"
+) -> None:
     """Saves one LTE per seed under a name, replacing any of the same name.
 
     Args:
       run: the run's directory.
       name: the name.
-      task: the task that the LTEs were found for.
+      task: the task or the reward that the LTEs were found for.
       codes: the LTEs [seeds, code].
       policy: the fingerprint of the policies that they were found for.
+      asked_by: the option of `ear adapt` that names it, --target or --reward.
 
     Raises:
       UsageError: the name could be mistaken for a number or an option.
     """
     check_name(name)
-    entry = {"task": task, "policy": policy, "codes": [list(code) for code in codes]}
+    entry = {"task": task, "asked_by": asked_by, "policy": policy, "codes": [list(code) for code in codes]}
     with lock_file(run / FILE):
         records.write_json(run / FILE, {**saved(run), name: entry})
 
@@ -106,6 +110,7 @@ def lookup(run: Path, name: str, policy: str) -> dict[str, Any]:
     if name not in known:
         raise unknown("LTE", name, known)
     if known[name].get("policy", policy) != policy:  # files of earlier versions do not name the policy
-        again = f"run `ear adapt RUN --target {known[name]['task']} --save {name}` again"
+        asked_by = known[name].get("asked_by", "--target")
+        again = f"run `ear adapt RUN {asked_by} {shlex.quote(known[name]['task'])} --save {name}` again"
         raise UsageError(f"LTE {name!r} was found for another policy, for example before more training; {again}")
     return known[name]

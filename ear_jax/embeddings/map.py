@@ -12,6 +12,8 @@ import numpy as np
 from ear_jax.agents.networks import Params
 from ear_jax.embeddings.codes import spread_codes
 from ear_jax.embeddings.evaluate import play_codes
+from ear_jax.embeddings.smooth import best_bandwidth, smooth
+from ear_jax.embeddings.space import measure_space
 from ear_jax.envs import Family
 from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
@@ -23,7 +25,6 @@ from ear_jax.tasks import TaskSet
 PLACES = 500  # codes played if only targets have to be answered
 FINE = 20_000  # codes that an answer is chosen from, 0.025 radians apart
 MARGIN = 0.05  # distance of a target from the nearest achievement, as a share of the range of achievements
-BANDWIDTHS = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3)  # radians
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,10 @@ class LteMap:
     codes: np.ndarray  # [places, code]
     achieved: np.ndarray  # [places], in the commanded quantity
     late: dict[str, np.ndarray]  # outcomes over the second half of the episodes, each [places]
+    lengths: np.ndarray  # mean length of the episodes, steps [places]
 
 
-def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[LteMap]:
+def survey(trained: Trained, places: int, episodes: int, seed: int, radius: float | None = None) -> list[LteMap]:
     """Plays every seed's policy under codes spread evenly over the sphere.
 
     Args:
@@ -43,23 +45,26 @@ def survey(trained: Trained, places: int, episodes: int, seed: int) -> list[LteM
       places: number of codes.
       episodes: episodes per code.
       seed: seeds the starts.
+      radius: of the sphere, for an agent whose LTEs lie on none; the maps name their directions.
 
     Raises:
-      UsageError: the agent has no LTEs, or they do not lie on a sphere.
+      UsageError: the agent has no LTEs, or they do not lie on a sphere and no radius is given.
       RunError: the episodes do not fit in memory.
     """
-    check_sphere(trained)
+    if radius is None:
+        check_sphere(trained)
     program = trained.program
     check_rollouts(program, program.config.seeds * places * episodes, program.family.episode_length)
     codes = spread_codes(places, program.agent.code_size)
 
-    def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, Outcome]:
-        played = play_codes(program, policy, jnp.asarray(codes), key, episodes)
-        return achieved(program.family, played), jax.tree.map(lambda leaf: leaf.mean(axis=-1), played.late)
+    def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, Outcome, jax.Array]:
+        played = play_codes(program, policy, (radius or 1.0) * jnp.asarray(codes), key, episodes)
+        late = jax.tree.map(lambda leaf: leaf.mean(axis=-1), played.late)
+        return achieved(program.family, played), late, played.lengths.mean(axis=-1)
 
-    reached, late = for_each_seed(trained, of_seed, seed)
+    reached, late, lengths = for_each_seed(trained, of_seed, seed)
     return [
-        LteMap(codes, reached[index], {name: value[index] for name, value in late.items()})
+        LteMap(codes, reached[index], {name: value[index] for name, value in late.items()}, lengths[index])
         for index in range(program.config.seeds)
     ]
 
@@ -75,7 +80,7 @@ def check_sphere(trained: Trained, size: int | None = None) -> None:
 
 def describe(trained: Trained, maps: list[LteMap]) -> dict[str, Any]:
     """Returns the document that `ear map --json` prints: per seed the codes played, their achievements and outcomes,
-    and the LTEs of the training tasks."""
+    the LTEs of the training tasks, and measures of the space (`measure_space`)."""
     program, family = trained.program, trained.program.family
     table = np.asarray(jax.vmap(program.agent.codes)(trained.policies))
     return {
@@ -87,10 +92,17 @@ def describe(trained: Trained, maps: list[LteMap]) -> dict[str, Any]:
                 "achieved": np.round(lte_map.achieved, 4).tolist(),
                 "outcomes": {name: np.round(value, 4).tolist() for name, value in lte_map.late.items()},
                 "trained": training_ltes(program.tasks, table[index]),
+                "space": space_of(lte_map, family, program.tasks, table[index]),
             }
             for index, lte_map in enumerate(maps)
         ],
     }
+
+
+def space_of(lte_map: LteMap, family: Family, tasks: TaskSet, codes: np.ndarray) -> dict[str, float] | None:
+    """Measures the space of a map, with the training tasks' codes [tasks, code], as `measure_space` does."""
+    directions = codes / np.linalg.norm(codes, axis=1, keepdims=True)
+    return measure_space(family, lte_map.codes, lte_map.achieved, lte_map.lengths, directions, tasks.targets)
 
 
 def training_ltes(tasks: TaskSet, codes: np.ndarray) -> list[dict[str, Any]]:
@@ -117,37 +129,8 @@ def code_for_target(lte_map: LteMap, family: Family, target: float) -> tuple[np.
 
 def estimate(lte_map: LteMap, family: Family, codes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Estimates for any codes [codes, code] the means [codes, k] of values [places, k] of the surveyed codes around."""
-    bandwidth = _bandwidth(lte_map, family)
-    parts = np.array_split(codes, max(1, len(codes) // 1000))
-    return np.concatenate([_weights(part, lte_map.codes, bandwidth) @ values for part in parts])
-
-
-def _bandwidth(lte_map: LteMap, family: Family) -> float:
-    """Returns the width, in radians, that predicts each surveyed code best from the others."""
     differences = family.difference(lte_map.achieved[None, :], lte_map.achieved[:, None])  # [places, places]
-
-    def error(bandwidth: float) -> float:
-        weights = _weights(lte_map.codes, lte_map.codes, bandwidth, leave_out=True)
-        return float(np.mean(np.sum(weights * differences, axis=1) ** 2))
-
-    return min(BANDWIDTHS, key=error)
-
-
-def _weights(codes: np.ndarray, surveyed: np.ndarray, bandwidth: float, leave_out: bool = False) -> np.ndarray:
-    """Returns the weights of surveyed codes in the estimates for other codes, [codes, places]; rows sum to one.
-
-    Args:
-      codes: the codes to estimate for [codes, code].
-      surveyed: the codes that were played [places, code].
-      bandwidth: of the Gaussian, in radians.
-      leave_out: gives each code no weight in its own estimate; both sets are then the same.
-    """
-    angle = np.arccos(np.clip(codes @ surveyed.T, -1, 1))
-    nearness = -0.5 * (angle / bandwidth) ** 2
-    if leave_out:
-        np.fill_diagonal(nearness, -np.inf)
-    weights = np.exp(nearness - nearness.max(axis=1, keepdims=True))
-    return weights / weights.sum(axis=1, keepdims=True)
+    return smooth(lte_map.codes, values, codes, best_bandwidth(lte_map.codes, differences))
 
 
 def reaches(lte_map: LteMap, family: Family, target: float) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ear_jax.agents.networks import Params
 from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
-from ear_jax.learning.rollout import act_with, rollout
+from ear_jax.learning.rollout import act_along, act_with, rollout
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.training import Program
@@ -38,11 +38,11 @@ class PoseEnv(BatchedEnv):
 
 
 def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: jax.Array) -> list[Trajectory]:
-    """Plays one episode under each code, without exploration and all from the same start.
+    """Plays one episode under each code, or sequence of codes, without exploration and all from the same start.
 
     Args:
       program, policy: one seed's trained policy.
-      codes: [rows, code].
+      codes: [rows, code]; or [rows, steps, code], if they change with time.
       steps: environment steps; the family's time limit does not apply.
       key: seeds the start.
 
@@ -52,15 +52,17 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
     family, env = program.family, PoseEnv(program.family)
     check_rollouts(program, len(codes), steps + 1, family.model.nq)
     # One more step, for the pose before it. Rewards are not used, so that any task will do.
-    shape = (steps + 1, len(codes), 1, family.action_size)
+    constant = codes.ndim == 2
+    if constant:
+        along = jnp.zeros((steps + 1, len(codes), 1, family.action_size))  # no noise
+    else:
+        along = jnp.swapaxes(codes[:, jnp.minimum(jnp.arange(steps + 1), codes.shape[1] - 1)], 0, 1)[:, :, None]
     task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
 
     def play(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), env.start(key, task, 1))
-        act = act_with(program.agent, policy, codes)
-        played: tuple[dict[str, jax.Array], jax.Array] = rollout(
-            env, act, env_states, jnp.zeros(shape), _outcome_and_over
-        )[1]
+        act = act_with(program.agent, policy, codes) if constant else act_along(program.agent, policy)
+        played: tuple[dict[str, jax.Array], jax.Array] = rollout(env, act, env_states, along, _outcome_and_over)[1]
         return played
 
     outcomes, over = jax.device_get(jax.jit(play, compiler_options=compiler_options())(policy, codes, key))

@@ -38,6 +38,7 @@ class AntDir(AngleFamily):
     # MuJoCo orient the friction pyramid differently; more iterations do not help.
     mjx_solver = (4, 8)
     commanded = "direction"
+    plane = ("velocity_x", "velocity_y")
     prefix, spacing, unseen = "dir-", 15, 5
     options = ("lateral_weight",)
     lateral_weight = 0.0

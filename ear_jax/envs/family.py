@@ -42,6 +42,7 @@ class Family(Env):
     commanded: ClassVar[str]  # name of the outcome that a task's target is for
     unit: ClassVar[str]  # of the target and of the commanded outcome
     period: ClassVar[float | None] = None  # value at which the commanded outcome wraps, such as 360 degrees
+    plane: ClassVar[tuple[str, str] | None] = None  # outcomes that are its velocity on the floor in m/s, x and y
     episode_length: ClassVar[int] = 200  # steps; the time limit is not a termination
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # preset → settings changed for this family

@@ -28,14 +28,14 @@ def draw_adapt(figures: Path, document: dict[str, Any], label: str = "") -> list
             figure, axes = plt.subplots(figsize=(4.6, 3.4), layout="constrained")
             for index, task in enumerate(task for task in searched if task["seed"] == seed):
                 _draw_task(axes, index, task)
-            axes.set(xlabel="epochs of search (0: LTE from a map)", ylabel="return of an episode")
+            axes.set(xlabel="epochs of search (0: LTE without a search)", ylabel="return of an episode")
             legend_below(axes, 2)
             paths.append(save_figure(figure, figures / f"adaptation{label}_seed{seed}.png"))
     return paths
 
 
 def _draw_task(axes: Axes, index: int, task: dict[str, Any]) -> None:
-    """Draws the best candidate of each epoch, its return in fresh episodes, and the answer of the map."""
+    """Draws the best candidate of each epoch, its return in fresh episodes, and the answers without a search."""
     epochs, style = range(1, len(task["epochs"]) + 1), look(index)
     for name, label, line, fill in (
         ("reevaluated", "in fresh episodes", "-", "full"),
@@ -44,6 +44,6 @@ def _draw_task(axes: Axes, index: int, task: dict[str, Any]) -> None:
         values = [epoch[name] for epoch in task["epochs"]]
         line_style = {**style, "linestyle": line, "fillstyle": fill}
         axes.plot(epochs, values, **line_style, markersize=4, linewidth=1.4, label=f"{task['name']}: {label}")
-    if task["zero_shot"]:
-        marker_style = {**style, "linestyle": "none", "markersize": 8}
-        axes.plot(0, task["zero_shot"]["reevaluated"], **marker_style, label="_")
+    answers = [way for name, way in task["answers"].items() if name != "search"] if "answers" in task else []
+    for answer in answers or filter(None, [task.get("zero_shot")]):
+        axes.plot(0, answer["reevaluated"], **{**style, "linestyle": "none", "markersize": 8}, label="_")

@@ -68,17 +68,10 @@ def play_from(
     noise: jax.Array,
 ) -> Episodes:
     """Plays whole episodes from given starts [rows, episodes] as `play` does; noise [steps, rows, episodes, act]."""
-    steps = len(noise)
-
-    def record(transition: Transition) -> tuple[Outcome, jax.Array, jax.Array]:
-        return transition.outcome, transition.terminated, transition.valid
-
-    act = act_with(agent, policy, codes)
-    _, (outcome, failed, valid) = rollout(BatchedEnv(family, resets=False), act, env_states, noise, record)
-    playing = first_episode(failed | ~valid) & valid  # [steps, rows, episodes]
+    outcome, playing = record_from(family, agent, policy, codes, env_states, noise)
     lengths = jnp.sum(playing, axis=0)
     reward = score(family, outcome, tasks, axis=1)
-    late = playing & (jnp.arange(1, steps + 1)[:, None, None] > lengths // 2)
+    late = playing & (jnp.arange(1, len(noise) + 1)[:, None, None] > lengths // 2)
 
     def mean_over(mask: jax.Array) -> Outcome:
         count = jnp.maximum(jnp.sum(mask, axis=0), 1)
@@ -86,6 +79,23 @@ def play_from(
 
     returns = jnp.sum(jnp.where(playing, reward, 0.0), axis=0)
     return Episodes(returns, lengths, mean_over(late), mean_over(playing))
+
+
+def record_from(
+    family: Family, agent: Agent, policy: Params, codes: jax.Array, env_states: EnvState, noise: jax.Array
+) -> tuple[Outcome, jax.Array]:
+    """Plays episodes as `play_from` does, and returns the outcome of every step and whether it is part of an episode.
+
+    Returns:
+      Outcomes by name, and a bool that is False past the end of an episode, all [steps, rows, episodes].
+    """
+
+    def record(transition: Transition) -> tuple[Outcome, jax.Array, jax.Array]:
+        return transition.outcome, transition.terminated, transition.valid
+
+    act = act_with(agent, policy, codes)
+    _, (outcome, failed, valid) = rollout(BatchedEnv(family, resets=False), act, env_states, noise, record)
+    return outcome, first_episode(failed | ~valid) & valid
 
 
 def achieved(family: Family, played: Episodes) -> jax.Array:

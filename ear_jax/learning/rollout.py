@@ -27,6 +27,16 @@ def act_with(agent: Agent, policy: Params, codes: jax.Array) -> Act:
     return lambda obs, noise: jax.vmap(jax.vmap(act, in_axes=(None, 0, 0)))(codes, obs, noise)
 
 
+def act_along(agent: Agent, policy: Params) -> Act:
+    """Returns a function that acts without noise; a code for each step, [rows, envs, code], takes the noise's place."""
+
+    def act(code: jax.Array, obs: jax.Array) -> jax.Array:
+        distribution = agent.distribution(policy, code, obs)
+        return squash(distribution, jnp.zeros_like(distribution.mean))
+
+    return lambda obs, codes: jax.vmap(jax.vmap(act))(codes, obs)
+
+
 def rollout(
     batched_env: BatchedEnv, act: Act, env_states: EnvState, noise: jax.Array, record: Callable[[Transition], Any]
 ) -> tuple[EnvState, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -35,8 +34,8 @@ def write_policy(path: Path, policies: Params, codes: jax.Array, about: dict[str
     """
     arrays = {name: np.asarray(leaf) for name, leaf in named_leaves({"policy": policies, "codes": codes}).items()}
     metadata = {"format": FORMAT, "about": json.dumps(about), "card": card}
-    metadata["sha256_metadata"] = _digest({}, metadata)
-    safetensors.write(path, arrays, {**metadata, "sha256": _digest(arrays, metadata)})
+    metadata["sha256_metadata"] = safetensors.digest({}, metadata)
+    safetensors.write(path, arrays, {**metadata, "sha256": safetensors.digest(arrays, metadata)})
 
 
 def read_about(path: Path) -> tuple[dict[str, Any], safetensors.Header]:
@@ -49,7 +48,9 @@ def read_about(path: Path) -> tuple[dict[str, Any], safetensors.Header]:
     metadata = {name: value for name, value in header.metadata.items() if not name.startswith("sha256")}
     if metadata.get("format") != FORMAT:
         raise RunError(f"{path} is not a policy file that this version of ear_jax can read")
-    if header.metadata.get("sha256_metadata", _digest({}, metadata)) != _digest({}, metadata):  # earlier: only `sha256`
+    if header.metadata.get("sha256_metadata", safetensors.digest({}, metadata)) != safetensors.digest(
+        {}, metadata
+    ):  # earlier: only `sha256`
         raise RunError(f"{path} is damaged: it differs from its checksum")
     try:
         about = json.loads(metadata["about"])
@@ -63,7 +64,7 @@ def read_policy(path: Path, header: safetensors.Header) -> dict[str, np.ndarray]
     """Returns the arrays by name; raises RunError if the file is damaged or cannot be read."""
     arrays = safetensors.read_arrays(path, header)
     metadata = dict(header.metadata)
-    if metadata.pop("sha256", None) != _digest(arrays, metadata):
+    if metadata.pop("sha256", None) != safetensors.digest(arrays, metadata):
         raise RunError(f"{path} is damaged: it differs from its checksum")
     return arrays
 
@@ -78,11 +79,3 @@ def _check_about(about: Any) -> None:
     shown = (about["engine"], about.get("commit"), *about["versions"].values())
     if not all(text is None or (isinstance(text, str) and text.isprintable()) for text in shown):
         raise ValueError("its engine, commit and versions are not plain text")
-
-
-def _digest(arrays: dict[str, np.ndarray], metadata: dict[str, str]) -> str:
-    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
-    for name, array in sorted(arrays.items()):
-        digest.update(f"{name} {array.dtype} {array.shape} ".encode())
-        digest.update(np.ascontiguousarray(array))
-    return digest.hexdigest()

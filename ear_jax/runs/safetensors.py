@@ -6,6 +6,7 @@ strings by name) and the arrays one after the other (https://github.com/huggingf
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -105,6 +106,15 @@ def read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """Returns a file's arrays and metadata; raises RunError if it is damaged or of another format."""
     header = read_header(path)
     return read_arrays(path, header), header.metadata
+
+
+def digest(arrays: dict[str, np.ndarray], metadata: dict[str, str]) -> str:
+    """Returns SHA-256 over arrays and metadata, for a writer to store among the metadata."""
+    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype} {array.shape} ".encode())
+        digest.update(np.ascontiguousarray(array))
+    return digest.hexdigest()
 
 
 def _entry(entry: Any) -> Entry:

@@ -228,7 +228,7 @@ def test_a_search_answers_what_the_map_does_not_reach(toy):
 
 @pytest.mark.parametrize("target", [5.0, -99.0, 1.2])
 def test_a_search_can_refuse_what_the_map_does_not_reach(toy, target, monkeypatch):
-    monkeypatch.setattr(adaptation, "_search_all", lambda *_: pytest.fail("it was searched for"))
+    monkeypatch.setattr(adaptation, "search_all", lambda *_: pytest.fail("it was searched for"))
     tasks = task_set([toy.program.family.parse_task(str(target))])
     with pytest.raises(UsageError, match=rf"comes near {target:g} 1; they reach -1\.00 to 1\.00"):
         adapt(toy, tasks, Search(), episodes=1, seed=0, within_reach=True)
@@ -244,7 +244,7 @@ def test_a_map_of_directions_wraps():
     """Codes whose direction is their longitude: 350° and 10° are neighbours of 0°."""
     codes = fibonacci_sphere(2000)
     longitude = np.degrees(np.arctan2(codes[:, 1], codes[:, 0])) % 360
-    code, predicted = code_for_target(LteMap(codes, longitude, {}), AntDir("native"), 0.0)
+    code, predicted = code_for_target(LteMap(codes, longitude, {}, np.full(2000, 200)), AntDir("native"), 0.0)
     assert abs(np.degrees(np.arctan2(code[1], code[0]))) < 3
     assert abs(predicted) < 3
     assert abs(code[2]) < 0.9, "near the poles all directions meet, and none is kept"

@@ -14,11 +14,11 @@ from ear_jax.agents.tanh_gaussian import Gaussian
 CODES = jnp.array([[-0.5, np.sqrt(0.75), 0.0], [0.5, np.sqrt(0.75), 0.0]])
 
 
-def obedient(codes: jax.Array) -> Agent:
+def obedient(codes: jax.Array, sphere: bool = True) -> Agent:
     def distribution(policy, code, obs):
         return Gaussian(jnp.arctanh(jnp.clip(code[:1], -0.999, 0.999)), jnp.full(1, -9.0))
 
     def nothing(*_):
         return None
 
-    return Agent(3, nothing, lambda policy: codes, unit_vector, distribution, None, on_sphere=True, embed=nothing)
+    return Agent(3, nothing, lambda policy: codes, unit_vector, distribution, None, on_sphere=sphere, embed=nothing)

@@ -18,9 +18,11 @@ from experiments.inventory import RECORDS
 from experiments.report import documents, measures, readme
 from experiments.report.formatting import NAMES, number
 from experiments.report.run_index import RunIndex
+from tests.embeddings.test_twenty_rewards import reaches
 from tests.helpers.tolerances import MJX_TOLERANCES
 
 ROOT = Path(__file__).parents[2]
+WAYS = ("spline", "look-up")  # of `ear follow`
 CHEETAH = RECORDS / "halfcheetah-vel-ear-fast-seed0"
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 # A number that looks measured: with a unit of time, a share, a ratio, or negative as returns are.
@@ -151,6 +153,40 @@ def said_of_commands() -> list[str]:
     ]
 
 
+def said_of_rewards() -> list[str]:
+    """Words of `docs/asking-for-behaviour.md` about the answers to twenty rewards."""
+    rows = [row for row in records.read_rows(common.RESULTS / "rewards.jsonl") if not row["quick"]]
+    returns = {(row["reward"], row["way"]): row["return"] for row in rows}
+    searched = {reward: value for (reward, way), value in returns.items() if way == "search"}
+    steps = sum({row["reward"]: row["env_steps"] / row["at_once"] for row in rows if row["way"] == "search"}.values())
+
+    def met(way: str, shortfall: float) -> str:
+        reached = [reaches(returns[reward, way], value, shortfall) for reward, value in searched.items()]
+        return f"{sum(reached)} of {len(reached)}"
+
+    return [
+        f"for {met('map', 0.05)} the survey's answer returned at most 5 % less than the search's",
+        f"for {met('map', 0)} at least as much",
+        f"The searches took {steps:,.0f} env steps",
+        f"at most 10 % less than the search's for {met('imagined', 0.1)}",
+    ]
+
+
+def said_of_courses() -> list[str]:
+    """Words of `docs/asking-for-behaviour.md` about profiles and the ant's square."""
+    rows = [row for row in records.read_rows(common.RESULTS / "following.jsonl") if not row["quick"]]
+    errors = {way: [row["error"] for row in rows if row["way"] == way and row["unit"] == "m/s"] for way in WAYS}
+    spline, look_up = ([f"{error:.2f}" for error in errors[way]] for way in WAYS)
+    by_spline, by_look_up = (
+        next(row["error"] for row in rows if row["way"] == way and row["unit"] == "m") for way in WAYS
+    )
+    return [
+        f"after the first second was {spline[0]}, {spline[1]} and {spline[2]} m/s on three profiles",
+        f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
+        f"missed a way-point by {by_spline:.1f} m along the spline and by {by_look_up:.1f} m by look-up",
+    ]
+
+
 def test_readme_and_results_say_what_the_records_say():
     found = RunIndex("fast")
     assert documents.read(readme.README, readme.HEADLINE) == readme.headline(found)
@@ -163,6 +199,8 @@ def test_readme_and_results_say_what_the_records_say():
     [
         (said_of_the_cheetah, "docs/results.md"),
         (said_of_commands, "docs/results.md"),
+        (said_of_rewards, "docs/asking-for-behaviour.md"),
+        (said_of_courses, "docs/asking-for-behaviour.md"),
         (said_of_the_ant, "docs/fast.md"),
         (said_of_the_wide, "docs/fast.md"),
         (said_of_the_ring, "docs/fast.md"),

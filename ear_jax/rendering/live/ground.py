@@ -71,7 +71,7 @@ def colour_sphere(trained: Trained, params: Params, places: int, seed: int) -> G
         jax.jit(play, compiler_options=compiler_options())(params, jax.random.key(seed))
     )
     late = {name: value[:, 0] for name, value in late.items()}
-    lte_map = LteMap(codes, np.asarray(reached), late)
+    lte_map = LteMap(codes, np.asarray(reached), late, lengths[:, 0])
     fell = (lengths[:, 0] < family.episode_length).astype(float)
     outcomes = {**late, family.commanded: lte_map.achieved}
     turns = outcomes[family.commanded] * (2 * np.pi / family.period) if family.period else np.zeros(places)

@@ -1,0 +1,123 @@
+"""`ear follow RUN`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from ear_jax.cli.arguments import check_finite, check_least, option, parse
+from ear_jax.cli.on_run import OnRun
+from ear_jax.cli.results import keep, label_of, print_pictures, print_table, show_and_keep
+from ear_jax.errors import RunError, UsageError
+from ear_jax.process.terminal import phase, say
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ear_jax.runs.trained import Trained
+
+
+@dataclass(frozen=True, kw_only=True)
+class FollowCommand(OnRun):
+    """Follow a profile over time, or way-points on the floor, by task embeddings (LTEs) that change with time.
+
+    A spline on the sphere is searched for; the plain look-up from a survey of the sphere stands beside it.
+
+    Example: ear follow pretrained:halfcheetah-vel --profile "0:1, 3:6, 6:2"
+    """
+
+    profile: Annotated[str | None, option("SECONDS:VALUE,...")] = None
+    """The commanded quantity over time, with straight lines between the points, as in "0:1, 3:6, 6:2"."""
+    path: Annotated[str | None, option("X Y,...")] = None
+    """Way-points in metres from the start, as in "6 0, 6 6, 0 6, 0 0"."""
+    every: float = 0.5
+    """Seconds between the knots of the spline."""
+    epochs: int = 10
+    """Epochs of the search."""
+    candidates: int = 32
+    """Splines tried in each epoch."""
+    sigma: float = 0.2
+    """Standard deviation of the knots' coordinates in the first epoch."""
+    starts: int = 1
+    """Random starts that each spline is played from."""
+    episodes: int = 5
+    """Fresh starts from which the result is played."""
+    film: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    """Leave out the films, and draw only the figure and the strip."""
+
+
+def main(words: list[str]) -> None:
+    command = parse(FollowCommand, words, "follow")
+    _check(command)
+    trained = command.load()
+    from ear_jax.embeddings.course import course_of
+    from ear_jax.embeddings.follow import Plan, follow_course
+    from ear_jax.embeddings.survey import PLACES, find_survey
+    from ear_jax.figures.follow import draw_follow
+
+    course_of(trained.program.family, command.profile, command.path)  # refuses a mistake before the work
+    with phase("surveying the LTE sphere"):
+        survey, env_steps = find_survey(trained, PLACES, 0)
+    course = course_of(trained.program.family, command.profile, command.path, survey)
+    plan = Plan(command.every, command.epochs, command.candidates, command.sigma, command.starts)
+    with phase(f"searching in {command.epochs} epochs of {command.candidates} splines"):
+        document = follow_course(trained, survey, course, plan, command.episodes, command.seed)
+    document["survey_env_steps"] = env_steps
+    label = label_of(command)
+    kept = partial(keep, trained.directory, "following", label, document, draw_follow)
+    show_and_keep(document, command.json, _print, kept)
+    try:
+        files = _show(command, trained, document, label)
+    except RunError as error:
+        say(f"warning: {error}")
+    else:
+        if not command.json:
+            print_pictures(files)
+
+
+def _check(command: FollowCommand) -> None:
+    """Raises UsageError for options that are wrong for any run."""
+    if (command.profile is None) == (command.path is None):
+        raise UsageError("give one of --profile SECONDS:VALUE,... and --path X Y,...")
+    check_least(command, epochs=1, candidates=2, starts=1, episodes=1)
+    check_finite("--every", command.every)
+    check_finite("--sigma", command.sigma)
+    for name in ("every", "sigma"):
+        if not getattr(command, name) > 0:
+            raise UsageError(f"--{name} {getattr(command, name):g} is too small; it must be above 0")
+
+
+def _show(command: FollowCommand, trained: Trained, document: dict[str, Any], label: str) -> list[Path]:
+    """Draws the strip, and films the first seed's robot under both ways; returns the paths."""
+    import jax
+    import jax.numpy as jnp
+
+    from ear_jax.cli.shots import Shot, draw
+    from ear_jax.embeddings.trajectory import follow
+    from ear_jax.runs.trained import policy_of
+
+    ways = document["seeds"][0]["ways"]
+    codes = jnp.array([way["ltes"] for way in ways.values()])
+    program = trained.program
+    trajectories = follow(program, policy_of(trained, 0), codes, codes.shape[1], jax.random.key(command.seed))
+    shots = [Shot(name, code[-1]) for name, code in zip(ways, codes, strict=True)]
+    name = f"following{label}"
+    return list(draw(trained.directory, name, program.family, shots, trajectories, command.film).values())
+
+
+def _print(document: dict[str, Any]) -> None:
+    """Prints the error and the smoothness of both ways, and the costs."""
+    unit = document["unit"]
+    rows = [
+        (str(entry["seed"]), name, f"{way['error']:.2f}", f"{max(way['errors']):.2f}", f"{way['turn']:.2f}")
+        for entry in document["seeds"]
+        for name, way in entry["ways"].items()
+    ]
+    print_table(("seed", "way", f"error {unit}>", f"worst {unit}>", "turn rad/s>"), rows)
+    meaning = "largest distance from a way-point" if document["is_path"] else "root mean square after the first second"
+    print(f"error: {meaning}, mean and worst of {document['episodes']} fresh starts; turn: how fast the LTE moves")
+    print(f"the search took {document['env_steps']:,} env steps and {document['seconds']:.1f} s", end="")
+    print(f", the survey {document['survey_env_steps']:,} env steps" if document["survey_env_steps"] else "")

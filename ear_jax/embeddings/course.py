@@ -1,0 +1,168 @@
+"""Courses to follow, a profile of the commanded quantity over time or way-points on the floor, and errors in it."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ear_jax.embeddings.survey import Survey
+from ear_jax.envs import Family
+from ear_jax.envs.asked import outcome_shapes
+from ear_jax.envs.family import Outcome
+from ear_jax.errors import UsageError
+
+SETTLING = 1.0  # seconds at the start that the error of a profile leaves out, while the robot gets going
+SLACK = 1.25  # time for a path, as a share of its length at the usual speed
+LONGEST = 60.0  # seconds
+
+
+@dataclass(frozen=True)
+class Course:
+    """A course to be followed, with its duration."""
+
+    outcomes: tuple[str, ...]  # the commanded outcome, or the two of the velocity on the floor
+    unit: str  # of the error
+    times: np.ndarray  # [points] seconds; of a path, when it would get there at the usual speed
+    points: np.ndarray  # [points, 1] values, or [points, 2] metres from the start on
+    wanted: np.ndarray  # [steps, 1] values, or [steps, 2] the velocity on the way
+    is_path: bool
+
+    def error(self, outcome: Outcome, playing: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
+        """Returns the error of one roll-out, a scalar, and its cost in a search.
+
+        The error of a profile is the root mean square from `SETTLING` on; that of a path, the largest distance from a
+        way-point. Way-points count in their order, each when the robot is nearest. The cost adds the first second, or
+        the squared distance from the straight lines between way-points.
+
+        Args:
+          outcome: by name, each [steps].
+          playing: bool [steps]; a robot that has failed stays where it is.
+          dt: seconds in a step.
+        """
+        followed = jnp.stack([jnp.where(playing, outcome[name], 0.0) for name in self.outcomes], axis=-1)
+        if self.is_path:
+            places = jnp.cumsum(followed, axis=0) * dt
+            misses = self._misses(places)
+            return jnp.sqrt(misses.max()), misses.mean() + 0.5 * misses.max() + 0.5 * jnp.mean(self._aside(places))
+        squared = jnp.sum((followed - self.wanted) ** 2, axis=-1)
+        return jnp.sqrt(jnp.mean(squared[round(SETTLING / dt) :])), jnp.mean(squared)
+
+    def _misses(self, places: jax.Array) -> jax.Array:
+        """Returns the squared distance [points] of each way-point from the robot's places [steps, 2].
+
+        The moments at which it is there are in the order of the way-points, and such that the sum is least.
+        """
+        apart = jnp.sum((places[:, None] - self.points) ** 2, axis=-1).T  # [points, steps]
+
+        def reach(before: jax.Array, here: jax.Array) -> tuple[jax.Array, jax.Array]:
+            total = here + jax.lax.cummin(before)
+            return total, total
+
+        sums = jax.lax.scan(reach, jnp.zeros(len(places)), apart)[1]  # least sum up to a way-point met at a step
+
+        def trace(last: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+            total, here = row
+            moment = jnp.argmin(jnp.where(jnp.arange(len(total)) <= last, total, jnp.inf))
+            return moment, here[moment]
+
+        return jax.lax.scan(trace, jnp.array(len(places)), (sums, apart), reverse=True)[1]
+
+    def _aside(self, places: jax.Array) -> jax.Array:
+        """Returns the squared distance of places [steps, 2] from the lines between way-points, [steps]."""
+        ends = jnp.concatenate([jnp.zeros((1, 2)), jnp.asarray(self.points)])
+        begin, along = ends[:-1], ends[1:] - ends[:-1]
+        share = jnp.sum((places[:, None] - begin) * along, -1) / jnp.maximum(jnp.sum(along**2, -1), 1e-9)
+        nearest = begin + jnp.clip(share, 0, 1)[..., None] * along
+        return jnp.sum((places[:, None] - nearest) ** 2, axis=-1).min(axis=1)
+
+
+def course_of(family: Family, profile: str | None, path: str | None, survey: Survey | None = None) -> Course:
+    """Returns the course of a profile or else of a path.
+
+    The usual speed on a path is the median of a survey's, under LTEs whose episodes last; without a survey it is 1 m/s,
+    and a path of any length is a course.
+
+    Raises:
+      UsageError: as `profile_course` and `path_course`.
+    """
+    if profile is not None:
+        return profile_course(family, profile)
+    speed = None
+    if survey and family.plane:
+        late = [survey.outcomes[name][..., survey.steps // 2 :].mean(axis=-1) for name in family.plane]
+        speed = float(np.median(np.hypot(*late)[survey.lengths == survey.steps]))
+    return path_course(family, path or "", speed)
+
+
+def profile_course(family: Family, text: str) -> Course:
+    """Returns the course of a profile such as `0:1, 3:6, 6:2`: seconds and values, with straight lines between them.
+
+    Raises:
+      UsageError: it is no profile, its times do not begin at 0 and rise, or the family commands no outcome.
+    """
+    if family.commanded not in outcome_shapes(family):
+        raise UsageError(f"{family.name} commands no outcome of a step to follow; {_instead(family)}")
+    pairs = [_numbers(part, ":", "--profile", "seconds:value, as in 0:1, 3:6, 6:2") for part in _parts(text)]
+    times, values = np.array(pairs, float).reshape(-1, 2).T
+    if len(times) < 2 or times[0] != 0 or (np.diff(times) <= 0).any():
+        raise UsageError(f"--profile {text!r} must begin at 0 seconds and go on to later ones, as in 0:1, 3:6, 6:2")
+    _check_length(times[-1], "--profile")
+    moments = family.dt * np.arange(1, round(times[-1] / family.dt) + 1)
+    wanted = np.interp(moments, times, values)[:, None]
+    return Course((family.commanded,), family.unit, times, values[:, None], wanted, False)
+
+
+def path_course(family: Family, text: str, usual_speed: float | None) -> Course:
+    """Returns the course of way-points such as `6 0, 6 6, 0 6, 0 0`, in metres from the start, at a usual speed in m/s.
+
+    Raises:
+      UsageError: they are no way-points, or the robot does not roam on the floor.
+    """
+    if family.plane is None:
+        raise UsageError(f"{family.name} does not move freely on the floor; {_instead(family)}")
+    points = np.array([_numbers(part, None, "--path", "x y, as in 6 0, 6 6") for part in _parts(text)], float)
+    ends = np.concatenate([np.zeros((1, 2)), points])
+    lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
+    if not (lengths > 0).all():
+        raise UsageError(f"--path {text!r} names a point twice in a row, or begins with the start, 0 0")
+    speed = usual_speed or 1.0
+    times = np.cumsum(lengths) / speed
+    if usual_speed:
+        _check_length(SLACK * times[-1], "--path")
+    moments = family.dt * np.arange(1, round(SLACK * times[-1] / family.dt) + 1)
+    row = np.minimum(np.searchsorted(times, moments), len(points) - 1)
+    wanted = speed * (np.diff(ends, axis=0) / lengths[:, None])[row]
+    return Course(family.plane, "m", times, points, wanted, True)
+
+
+def _instead(family: Family) -> str:
+    """Returns the words for what a family can follow."""
+    if family.plane:
+        return "give way-points with --path"
+    return "give --profile" if family.commanded in outcome_shapes(family) else "its tasks are met with `ear adapt`"
+
+
+def _parts(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",")]
+
+
+def _numbers(part: str, mark: str | None, option: str, wanted: str) -> list[float]:
+    """Reads two finite numbers, with a mark or blanks between them."""
+    words = re.split(r"\s*:\s*", part) if mark else part.split()
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 2 or not all(map(math.isfinite, numbers)):
+        raise UsageError(f"{option}: {part!r} is not {wanted}")
+    return numbers
+
+
+def _check_length(seconds: float, option: str) -> None:
+    if not 2 * SETTLING <= seconds <= LONGEST:
+        raise UsageError(f"{option} takes {seconds:.3g} s; it must be from {2 * SETTLING:g} to {LONGEST:g}")

@@ -1,0 +1,92 @@
+"""A family whose tasks are rewards that a user asks for, instead of its own."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ear_jax.envs.expression import parse_expression
+from ear_jax.envs.family import Family, Outcome
+from ear_jax.errors import UsageError, plain
+from ear_jax.physics import Motion, Physics
+from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
+
+Reward = Callable[[Outcome], Any]  # of one outcome, scalars by name; a scalar that JAX can trace
+
+
+def reward_functions(family: Family, rewards: Sequence[Reward | str]) -> list[Reward]:
+    """Returns rewards as functions of one outcome.
+
+    Args:
+      family: the family.
+      rewards: expressions over its outcomes (`expression`), or functions of one outcome.
+
+    Raises:
+      UsageError: an expression has a mistake, a function returns no scalar, or a reward is given twice.
+    """
+    shapes = outcome_shapes(family)
+    functions = [parse_expression(reward, shapes) if isinstance(reward, str) else reward for reward in rewards]
+    for function in functions:
+        shape = jax.eval_shape(lambda outcome, function=function: jnp.asarray(function(outcome)), shapes).shape
+        if shape != ():
+            raise UsageError(f"reward {name_of(function)} must be a scalar, not an array of shape {shape}")
+    names = [name_of(function) for function in functions]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"reward {plain(name)!r} is given twice")
+    return functions
+
+
+def asked(family: Family, rewards: Sequence[Reward]) -> tuple[Family, TaskSet]:
+    """Returns a copy of a family that scores outcomes by given rewards, and its tasks: one for each reward."""
+
+    def reward(outcome: Outcome, task: TaskParams) -> jax.Array:
+        values = jnp.stack([jnp.asarray(function(outcome), jnp.float32) for function in rewards])
+        return values[task["reward"].astype(int)]
+
+    asking = copy.copy(family)
+    vars(asking)["reward"] = reward  # hides the method of its class
+    return asking, task_set([Task(name_of(one), None, {"reward": float(row)}) for row, one in enumerate(rewards)])
+
+
+def score_outcomes(reward: Reward, outcomes: dict[str, np.ndarray], counts: np.ndarray | None = None) -> np.ndarray:
+    """Returns the rewards of many outcomes.
+
+    Args:
+      reward: of one outcome.
+      outcomes: by name, all of one shape.
+      counts: a bool of that shape, False for outcomes that do not count and score 0; None: all count.
+
+    Raises:
+      UsageError: the reward of an outcome that counts is not a finite number.
+    """
+    shape = next(iter(outcomes.values())).shape
+    flat = {name: jnp.asarray(values.reshape(-1)) for name, values in outcomes.items()}
+    of_all = jax.vmap(lambda outcome: jnp.asarray(reward(outcome), jnp.float32))
+    rewards = np.asarray(of_all(flat)).reshape(shape)
+    counts = np.ones(shape, bool) if counts is None else counts
+    if len(wrong := np.argwhere(counts & ~np.isfinite(rewards))):
+        at = ", ".join(f"{name} {values[tuple(wrong[0])]:.4g}" for name, values in outcomes.items())
+        raise UsageError(f"reward {plain(name_of(reward))!r} is not a finite number at {at}, which some LTE reaches")
+    return np.where(counts, rewards, 0.0)
+
+
+def name_of(reward: Reward) -> str:
+    """Returns the text of a reward that is an expression, else the function's name."""
+    return str(getattr(reward, "text", getattr(reward, "__name__", "reward")))
+
+
+def outcome_shapes(family: Family) -> Outcome:
+    """Returns the outcome of a step as shapes by name; nothing is computed."""
+
+    def one(physics: Physics) -> Outcome:
+        control = jnp.zeros(family.model.nu)
+        return family.outcome(Motion(physics, control, physics, jnp.zeros((len(family.bodies), 3))))
+
+    shapes: Outcome = jax.eval_shape(one, jax.eval_shape(family.initial, jax.random.key(0)))
+    return shapes
