@@ -75,6 +75,7 @@ CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
 WIDE, GATHERED = "+wide", "+gathered"
+EAR_VARIANTS = ("", WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
 
 EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
@@ -158,6 +159,7 @@ OURS = (
         "EAR with LTEs gathered at the start",
         methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", GATHERED)),
     ),
+    Experiment("space", "how good EAR's spaces of LTEs are"),
     Experiment(
         "reach",
         "Metaworld-Reach: returns, and goals between goals",

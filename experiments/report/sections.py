@@ -15,7 +15,7 @@ from experiments.paper import (
     SPEEDS_BEYOND,
     Experiment,
 )
-from experiments.report import blends, pictures, settings, tables
+from experiments.report import blends, pictures, settings, spaces, tables
 from experiments.report.blocks import Block, Section, Table
 from experiments.report.formatting import MISSING, NAMES, NO_RUN, count, label, lack, number
 from experiments.report.measures import BLENDED
@@ -36,6 +36,7 @@ TABLES: dict[str, Callable[[RunIndex], list[Block]]] = {
     "agents": tables.agents,
     "wide": partial(tables.variants, "wide"),
     "gathered": partial(tables.variants, "gathered"),
+    "space": spaces.spaces,
     "reach": tables.reach,
     **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(BLENDED)},
     **{f"table-{15 + index}": partial(blends.halfway, f"table-{15 + index}", one) for index, one in enumerate(BLENDED)},

@@ -150,6 +150,8 @@ def test_extrapolation_composition_and_all_pictures(place):
     trained = [{"name": "vel-1", "target": 1.0, "lte": [0, 0, 1]}]
     commanded = {"outcome": "velocity", "unit": "m/s", "period": None}
     add(directory, "map", commanded=commanded, seeds=[{"seed": 0, **code, "trained": trained}])
+    space = {"space": 0.8, "smooth": 0.5, "lasting": 1.0, "covered": 0.91, "ordered": 0.97, "lipschitz": 12.5}
+    add(directory, "space", seeds=[{"seed": 0, "space": {**space, "steep": 5.7}}])
     signal = {"explained": [0.6, 0.2], "period": 0.2, "autocorrelation_peak": 0.9, "path": [[0, 1], [1, 0]]}
     signal["autocorrelation"] = [1.0, 0.5]
     add(directory, "lse", task="vel-5", dt=0.05, seeds=[{"seed": 0, "state": signal, "lse": signal}])
@@ -161,6 +163,8 @@ def test_extrapolation_composition_and_all_pictures(place):
     composed = {"between": ["back-1", "jump-1"], "steps": 1000, "dt": 0.05, "commanded": commanded, "feet": ["hind"]}
     add(record("halfcheetah-run-jump"), COMPOSED[0].name, **composed, seeds=[{"seed": 0, "blends": [blend]}])
     assert cells(section("table-6", place / "out"), "-0.8".replace("-", "−"))[1:] == ["2.35", "3.80"]
+    measured = cells(section("space", place / "out"), "HalfCheetah-Vel")[1:]
+    assert measured == ["1", "0.80", "0.50", "1.00", "0.91", "0.97", "12.5"]
     assert cells(section("table-10", place / "out"), "0.5") == ["0.5", "−1.00", "0.30", "50 %", "25 %"]
     assert "100 steps from one start: β = 0.5 1.50 m/s, seed 0." in section("figure-3", place / "out")
     assert cells(section("figure-5", place / "out"), "HalfCheetah-Vel, EAR-SAC, seed 0")[1:5] == [
