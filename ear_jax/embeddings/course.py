@@ -12,7 +12,6 @@ import numpy as np
 
 from ear_jax.embeddings.survey import Survey
 from ear_jax.envs import Family
-from ear_jax.envs.asked import outcome_shapes
 from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
 
@@ -105,7 +104,7 @@ def profile_course(family: Family, text: str) -> Course:
     Raises:
       UsageError: it is no profile, its times do not begin at 0 and rise, or the family commands no outcome.
     """
-    if family.commanded not in outcome_shapes(family):
+    if family.commanded not in family.outcome_shapes:
         raise UsageError(f"{family.name} commands no outcome of a step to follow; {_instead(family)}")
     pairs = [_numbers(part, ":", "--profile", "seconds:value, as in 0:1, 3:6, 6:2") for part in _parts(text)]
     times, values = np.array(pairs, float).reshape(-1, 2).T
@@ -144,7 +143,7 @@ def _instead(family: Family) -> str:
     """Returns the words for what a family can follow."""
     if family.plane:
         return "give way-points with --path"
-    return "give --profile" if family.commanded in outcome_shapes(family) else "its tasks are met with `ear adapt`"
+    return "give --profile" if family.commanded in family.outcome_shapes else "its tasks are met with `ear adapt`"
 
 
 def _parts(text: str) -> list[str]:

@@ -57,7 +57,7 @@ def spline(agent: Agent, knots: jax.Array, steps: int) -> jax.Array:
 def look_up(survey: Survey, index: int, course: Course, steps: int) -> np.ndarray:
     """Returns the code [steps, code] for each wanted value, from the survey of one seed's policy alone.
 
-    Of codes that are about as good, the one nearest to the code before is chosen.
+    A turn away from the code before counts a little as a miss too.
     """
     later = slice(survey.steps // 2, None)
     late = np.stack([survey.outcomes[name][index, :, later].mean(axis=-1) for name in course.outcomes], axis=1)

@@ -18,7 +18,7 @@ from ear_jax.agents.networks import Params
 from ear_jax.embeddings.codes import spread_codes
 from ear_jax.embeddings.kept import Shape, read_kept, write_kept
 from ear_jax.embeddings.map import check_sphere
-from ear_jax.envs.asked import Reward, outcome_shapes, score_outcomes
+from ear_jax.envs.asked import Reward, score_outcomes
 from ear_jax.envs.batched_env import BatchedEnv
 from ear_jax.errors import RunError
 from ear_jax.learning import replay as rings
@@ -108,7 +108,7 @@ def imagine(trained: Trained, config: MeasureConfig, seed: int) -> dict[str, Any
 
 def find_imagined(trained: Trained) -> Imagined | None:
     """Reads the imagined sphere that is kept beside a run; None if there is none of this policy, which is said."""
-    path, names = trained.directory / FILE, outcome_shapes(trained.program.family)
+    path, names = trained.directory / FILE, trained.program.family.outcome_shapes
     if not path.is_file():
         return None
     seeds, size = trained.program.config.seeds, trained.program.agent.code_size

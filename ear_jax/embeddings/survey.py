@@ -16,7 +16,7 @@ from ear_jax.embeddings.codes import spread_codes
 from ear_jax.embeddings.kept import Shape, read_kept, write_kept
 from ear_jax.embeddings.map import FINE, check_sphere
 from ear_jax.embeddings.smooth import smooth_best
-from ear_jax.envs.asked import Reward, outcome_shapes, score_outcomes
+from ear_jax.envs.asked import Reward, score_outcomes
 from ear_jax.envs.family import Outcome
 from ear_jax.errors import RunError
 from ear_jax.learning.episodes import record_from, starts
@@ -60,13 +60,13 @@ def find_survey(trained: Trained, places: int, seed: int) -> tuple[Survey, int]:
     family, seeds = trained.program.family, trained.program.config.seeds
     path = trained.directory / f"survey_places-{places}{f'_random-{seed}' * (seed != 0)}.safetensors"
     steps: dict[str, Shape] = {
-        f"outcome.{name}": (seeds, places, family.episode_length) for name in outcome_shapes(family)
+        f"outcome.{name}": (seeds, places, family.episode_length) for name in family.outcome_shapes
     }
     shapes = {**steps, "codes": (places, trained.program.agent.code_size), "lengths": (seeds, places)}
     if path.is_file():
         try:
             arrays = read_kept(path, shapes, trained, FORMAT)
-            outcomes = {name: arrays[f"outcome.{name}"] for name in outcome_shapes(family)}
+            outcomes = {name: arrays[f"outcome.{name}"] for name in family.outcome_shapes}
             return Survey(arrays["codes"], outcomes, arrays["lengths"]), 0
         except RunError as error:
             say(f"{error}; the sphere is surveyed again")
@@ -89,7 +89,7 @@ def play_survey(trained: Trained, places: int, seed: int) -> Survey:
     check_sphere(trained)
     program = trained.program
     family, agent, steps = program.family, program.agent, program.family.episode_length
-    check_rollouts(program, program.config.seeds * places, steps, len(outcome_shapes(family)))
+    check_rollouts(program, program.config.seeds * places, steps, len(family.outcome_shapes))
     codes = spread_codes(places, agent.code_size)
     tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], places), program.tasks.params)
 

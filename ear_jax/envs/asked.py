@@ -13,7 +13,6 @@ import numpy as np
 from ear_jax.envs.expression import parse_expression
 from ear_jax.envs.family import Family, Outcome
 from ear_jax.errors import UsageError, plain
-from ear_jax.physics import Motion, Physics
 from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
 
 Reward = Callable[[Outcome], Any]  # of one outcome, scalars by name; a scalar that JAX can trace
@@ -29,7 +28,7 @@ def reward_functions(family: Family, rewards: Sequence[Reward | str]) -> list[Re
     Raises:
       UsageError: an expression has a mistake, a function returns no scalar, or a reward is given twice.
     """
-    shapes = outcome_shapes(family)
+    shapes = family.outcome_shapes
     functions = [parse_expression(reward, shapes) if isinstance(reward, str) else reward for reward in rewards]
     for function in functions:
         shape = jax.eval_shape(lambda outcome, function=function: jnp.asarray(function(outcome)), shapes).shape
@@ -79,14 +78,3 @@ def score_outcomes(reward: Reward, outcomes: dict[str, np.ndarray], counts: np.n
 def name_of(reward: Reward) -> str:
     """Returns the text of a reward that is an expression, else the function's name."""
     return str(getattr(reward, "text", getattr(reward, "__name__", "reward")))
-
-
-def outcome_shapes(family: Family) -> Outcome:
-    """Returns the outcome of a step as shapes by name; nothing is computed."""
-
-    def one(physics: Physics) -> Outcome:
-        control = jnp.zeros(family.model.nu)
-        return family.outcome(Motion(physics, control, physics, jnp.zeros((len(family.bodies), 3))))
-
-    shapes: Outcome = jax.eval_shape(one, jax.eval_shape(family.initial, jax.random.key(0)))
-    return shapes

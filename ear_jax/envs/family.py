@@ -180,9 +180,9 @@ class Family(Env):
         return int(jax.eval_shape(lambda key: self._first_obs(self.initial(key)), jax.random.key(0)).size)
 
     @property
-    def outcome_names(self) -> tuple[str, ...]:
-        """The names of a step's outcomes, in order."""
-        return tuple(sorted(self._outcome_shapes(jax.eval_shape(self.initial, jax.random.key(0)))))
+    def outcome_shapes(self) -> Outcome:
+        """A step's outcome as shapes by name; nothing is computed."""
+        return self._outcome_shapes(jax.eval_shape(self.initial, jax.random.key(0)))
 
     @property
     def action_size(self) -> int:

@@ -106,7 +106,7 @@ def _learner(config: Config, family: Family, tasks: TaskSet) -> Learner:
 
 
 def _sizes(family: Family, tasks: int) -> Sizes:
-    return Sizes(family.observation_size, family.action_size, tasks, len(family.outcome_names))
+    return Sizes(family.observation_size, family.action_size, tasks, len(family.outcome_shapes))
 
 
 def seed_keys(config: Config) -> jax.Array:

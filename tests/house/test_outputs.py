@@ -32,6 +32,7 @@ def test_no_other_place_writes_a_file():
     assert found == {("ear_jax/figures/style.py", "savefig")}, "into the scratch file"
     assert {path.relative_to(ROOT).as_posix() for path in files if opens(path)} == {
         "ear_jax/process/streams.py",  # the standard streams
+        "ear_jax/runs/on_ray.py",  # a task's log, which its node appends to
         "ear_jax/runs/manifest.py",  # in a step that has no name yet
         "ear_jax/runs/safetensors.py",  # the scratch file
     }
