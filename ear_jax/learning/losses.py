@@ -45,16 +45,31 @@ class Acts(NamedTuple):
     action: jax.Array  # [n, act]
 
 
-def both_predictions(
+def training_predictions(
+    critics: Params, critic: Critic, now: Acts, later: Acts, task: jax.Array
+) -> tuple[Prediction, Params]:
+    """Returns every critic's predictions for a batch's acts, and new running statistics, empty without BatchNorm."""
+    if critic.predict_in_batch is None:
+        return predictions(critics, critic, *now, task), {}
+    predicted, _, statistics = as_one_batch(critics, critic, now, later, task)
+    return predicted, statistics
+
+
+def target_predictions(critics: Params, critic: Critic, now: Acts, later: Acts, task: jax.Array) -> Prediction:
+    """Returns every target critic's predictions for the acts of the next step, each leaf [critics, n, …]."""
+    if critic.predict_in_batch is None:
+        return predictions(critics, critic, *later, task)
+    return as_one_batch(critics, critic, now, later, task)[1]
+
+
+def as_one_batch(
     critics: Params, critic: Critic, now: Acts, later: Acts, task: jax.Array
 ) -> tuple[Prediction, Prediction, Params]:
-    """Returns every critic's predictions for the acts of a step and of the next one, each leaf [critics, n, …].
+    """Returns the predictions of critics with BatchNorm for the acts of a step and of the next one, and statistics.
 
-    Critics with BatchNorm see both as one batch, so that predictions and targets are normalised alike (Bhatt et al.
-    2019, arXiv 1902.05605). The third result holds their new running statistics; it is empty without BatchNorm.
+    Both are one batch, so that predictions and targets are normalised alike (Bhatt et al. 2019, arXiv 1902.05605).
     """
-    if critic.predict_in_batch is None:
-        return predictions(critics, critic, *now, task), predictions(critics, critic, *later, task), {}
+    assert critic.predict_in_batch
     inputs = jax.tree.map(lambda *halves: jnp.concatenate(halves), (*now, task), (*later, task))
     of_batch = jax.vmap(critic.predict_in_batch, in_axes=(None, 0, 0, 0), out_axes=(0, None), axis_name=BATCH)
     predicted, statistics = jax.vmap(of_batch, in_axes=(0, None, None, None))(critics, *inputs)

@@ -83,7 +83,7 @@ class PearlLearner(SacLearner):
             inferred = self.posteriors(policy, buffer, draws.context)
             task = self.task_input(inferred.sample(draws.posterior), batch.task)
             kl = jnp.sum(jax.vmap(Posterior.kl_to_prior)(inferred))
-            predicted, _, statistics = losses.both_predictions(critics, self.critic, now, later, task)
+            predicted, statistics = losses.training_predictions(critics, self.critic, now, later, task)
             each = losses.critic_losses(self.critic, predicted, target)
             loss = losses.critic_loss(each) + KL_WEIGHT * self.config.sac.reward_scale**2 * kl
             return loss, (each, losses.q_values(self.critic, predicted), statistics)

@@ -226,7 +226,7 @@ class SacLearner:
 
         def objective(critics, policy):
             task = self.task_input(self.agent.codes(policy), batch.task)
-            predicted, _, statistics = losses.both_predictions(critics, self.critic, now, later, task)
+            predicted, statistics = losses.training_predictions(critics, self.critic, now, later, task)
             each = losses.critic_losses(self.critic, predicted, target)
             return losses.critic_loss(each), (each, losses.q_values(self.critic, predicted), statistics)
 
@@ -257,7 +257,7 @@ class SacLearner:
         action, log_prob = losses.sample_policy(state.policy, self.agent, table, batch.next_obs, batch.task, noise)
         now, later = Acts(standardise(batch.obs), batch.action), Acts(standardise(batch.next_obs), action)
         task = self.task_input(table, batch.task)
-        _, next_predictions, _ = losses.both_predictions(state.target_critics, self.critic, now, later, task)
+        next_predictions = losses.target_predictions(state.target_critics, self.critic, now, later, task)
         temperature = rows_of_items(jnp.exp(state.log_temperature), batch.task)
         sac = self.config.sac
         target = losses.critic_targets(

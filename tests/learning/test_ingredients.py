@@ -119,7 +119,7 @@ def test_predictions_of_a_step_and_of_the_next_are_normalised_as_one_batch():
     critics = jax.vmap(critic.init)(jax.random.split(jax.random.key(0), 2))
     obs, action = jnp.array([[0.0], [1.0], [4.0], [9.0]]), jnp.array([[0.5], [-0.5], [0.1], [0.9]])
     task = jnp.eye(2)
-    now, later, _ = losses.both_predictions(
+    now, later, _ = losses.as_one_batch(
         critics, critic, losses.Acts(obs[:2], action[:2]), losses.Acts(obs[2:], action[2:]), task
     )
     assert critic.predict_in_batch
