@@ -36,7 +36,7 @@ class NetworkConfig:
     critic_bins: int = 0
     """Bins of return whose probabilities each critic predicts (C51), within ± sac.return_scale; 0 predicts Q itself."""
     critic_batch_norm: bool = False
-    """Critics of BatchNorm layers whose weights keep unit norm (XQC)."""
+    """Critics of BatchNorm layers, in place of LayerNorm, whose weights keep unit norm (XQC)."""
     critic_task: Literal["onehot", "lte", "both"] = "onehot"
     """Critics' input about the task; an LTE given to critics is also taught by them (BRC)."""
     task_layers: int = 0

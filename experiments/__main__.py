@@ -55,7 +55,7 @@ class ReproduceCommand:
     only: str | None = None
     """One run of the table or figure, as in halfcheetah-vel-ear-fast-seed0."""
     on: Literal["here", "ray"] = "here"
-    """Where to work: here, or each run as a task of a Ray cluster (pip install 'ear-jax[cluster]')."""
+    """The place to work: here, or each run as a task of a Ray cluster (pip install 'ear-jax[cluster]')."""
     cores: int = 1
     """Cores of each run on a Ray cluster without GPUs; with GPUs each run has one."""
     dry_run: bool = False

@@ -64,7 +64,7 @@ def critic_network(inputs: int, outputs: int, config: NetworkConfig) -> Network:
         return residual(inputs, config.critic_blocks, outputs, config)
     widths = (config.width,) * config.critic_layers
     if config.critic_batch_norm:
-        return batch_normed(inputs, widths, outputs)
+        return batch_normed(inputs, widths, outputs, config)
     return mlp(inputs, widths, outputs, config, config.critic_layer_norm)
 
 

@@ -128,28 +128,30 @@ def residual(size: int, blocks: int, out: int, config: NetworkConfig) -> Network
 class _BatchNormed(nn.Module):
     widths: tuple[int, ...]
     out: int
+    config: NetworkConfig
 
     @nn.compact
     def __call__(self, x: jax.Array, in_batch: bool = False) -> jax.Array:
-        axis = BATCH if in_batch else None
-        kernel = nn.initializers.orthogonal()
+        axis, kernel = BATCH if in_batch else None, nn.initializers.orthogonal()
+        rounded = None if self.config.matmul == "float32" else _rounded
 
         def normalised(x: jax.Array) -> jax.Array:
             return nn.BatchNorm(not in_batch, momentum=0.99, epsilon=1e-3, axis_name=axis)(x)
 
         x = normalised(x)
         for width in self.widths:
-            x = jax.nn.relu(normalised(nn.Dense(width, use_bias=False, kernel_init=kernel)(x)))
+            x = jax.nn.relu(normalised(nn.Dense(width, use_bias=False, kernel_init=kernel, dot_general=rounded)(x)))
         return nn.Dense(self.out, kernel_init=kernel)(x)
 
 
-def batch_normed(size: int, widths: tuple[int, ...], out: int) -> Network:
+def batch_normed(size: int, widths: tuple[int, ...], out: int, config: NetworkConfig) -> Network:
     """Builds XQC's critic network (Palenicek et al. 2025, arXiv 2509.25174), from `size` inputs to `out`.
 
     BatchNorm, then layers x ← ReLU(BN(Wx)), and a linear layer. `apply` normalises by running statistics, which are
-    the parameters' collection `batch_stats`. `unit_columns` keeps the weights at unit norm.
+    the parameters' collection `batch_stats`. `unit_columns` keeps the weights at unit norm, which begin orthogonal,
+    whatever `config.initialiser` is.
     """
-    module = _BatchNormed(widths, out)
+    module = _BatchNormed(widths, out, config)
 
     def apply_in_batch(params: Params, x: jax.Array) -> tuple[jax.Array, Params]:
         output, statistics = module.apply(params, x, True, mutable=["batch_stats"])

@@ -30,7 +30,7 @@ class ImagineCommand(OnRun):
     cells: int = 256
     """Kinds of outcomes that it tells apart."""
     discount: float = 0.99
-    """How far it looks ahead: 0.99 is about 100 steps."""
+    """The discount γ of later outcomes: 0.99 looks about 100 steps ahead."""
 
 
 def main(words: list[str]) -> None:

@@ -47,7 +47,7 @@ class SweepCommand:
     """The sweep's directory."""
     hosts: Hosts = field(default_factory=Hosts)
     on: Literal["here", "ray"] = "here"
-    """Where to train: here, or each run as a task of a Ray cluster (pip install 'ear-jax[cluster]')."""
+    """The place to train: here, or each run as a task of a Ray cluster (pip install 'ear-jax[cluster]')."""
     cores: int = 1
     """Cores of each run on a Ray cluster without GPUs; with GPUs each run has one."""
     dry_run: bool = False

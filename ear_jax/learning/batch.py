@@ -41,6 +41,8 @@ def check_batch(config: Config, tasks: int) -> None:
         )
     if config.network.critic_bins and not config.sac.return_scale:
         raise UsageError("--network.critic-bins needs --sac.return-scale, the largest return that bins reach")
+    if config.network.critic_batch_norm and config.network.critic_blocks:
+        raise UsageError("--network.critic-batch-norm and --network.critic-blocks build other critics; leave out one")
 
 
 @struct.dataclass

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
+from ear_jax.config import Config
 from ear_jax.presets import preset_config
 from ear_jax.runs import records
 from experiments import inventory
@@ -72,3 +74,10 @@ def cells(text: str, row: str) -> list[str]:
     """Returns the cells of the first table row that begins with `row`."""
     line = next(line for line in text.splitlines() if line.startswith(f"| {row} |"))
     return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def write_run(directory: Path, config: Config, **row: float) -> None:
+    """Writes a run's configuration and one row."""
+    directory.mkdir(parents=True, exist_ok=True)
+    records.write_json(directory / "config.json", {"config": dataclasses.asdict(config)})
+    (directory / "metrics.jsonl").write_text(json.dumps({"epoch": config.epochs, "seconds": 60.0, **row}) + "\n")

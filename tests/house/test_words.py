@@ -28,8 +28,11 @@ GONE = (  # the left column of the table of sentences in issue 28, as patterns
 
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
-    """Yields the line and text of each docstring of a file: of the module, its classes and its functions."""
+    """Yields the line and text of each docstring of a file: of the module, its classes, functions and fields."""
     for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ClassDef):
+            fields = [entry.value for entry in node.body[1:] if isinstance(entry, ast.Expr)]
+            yield from ((entry.lineno, entry.value) for entry in fields if isinstance(entry, ast.Constant))
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             text = ast.get_docstring(node)
             if text:

@@ -94,7 +94,7 @@ def test_a_residual_network_adds_what_its_blocks_make_of_their_input():
 
 def test_batch_norm_is_by_the_batch_in_training_and_by_its_running_statistics_elsewhere():
     """One layer by hand; an item counts a hundredth of the running statistics, which start at 0 and 1."""
-    network = batch_normed(2, (3,), 1)
+    network = batch_normed(2, (3,), 1, NetworkConfig())
     params, x = network.init(jax.random.key(0)), jnp.array([[1.0, -2.0], [3.0, 0.5], [-1.0, 1.0], [0.0, 4.0]])
     assert network.apply_in_batch
     in_batch = jax.vmap(network.apply_in_batch, (None, 0), out_axes=(0, None), axis_name=BATCH)
@@ -238,6 +238,7 @@ def test_critics_with_batch_norm_solve_it_with_unit_weights_and_moving_statistic
     [
         ({"sac": {"policy_share": 3}}, "--sac.policy-share 3 does not divide the 32 transitions"),
         ({"network": {"critic_bins": 11}}, "--network.critic-bins needs --sac.return-scale"),
+        ({"network": {"critic_batch_norm": True, "critic_blocks": 1}}, "build other critics; leave out one"),
     ],
 )
 def test_what_does_not_fit_is_refused(changes, complaint):
