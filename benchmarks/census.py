@@ -25,7 +25,6 @@ DEVICE = Path(__file__).with_name("h100.txtpb")
 PLUGIN = "jax_plugins.xla_cuda12"
 # What a kernel is part of: the first pattern that its source matches. Sources are JAX's names of operations.
 PARTS = (
-    ("fused networks", r"fused/|triton|pallas"),
     ("critics backward", r"transpose\(jvp\(vmap\(vmap\(_(Mlp|Residual)"),
     ("critics forward", r"vmap\(vmap\(_(Mlp|Residual)"),
     ("policy backward", r"transpose\(jvp\(vmap\(_Mlp"),
@@ -129,17 +128,16 @@ def graphs(dump: Path) -> dict[str, int]:
     return {"graphs": kinds.count("kCommandBuffer"), "loose": len(kinds) - kinds.count("kCommandBuffer")}
 
 
-def measure(options: argparse.Namespace, what: str, kernels: str, seeds: int = 5) -> None:
+def measure(options: argparse.Namespace, what: str, seeds: int = 5) -> None:
     """Compiles one program of `fast` HalfCheetah-Vel and writes its row."""
     from ear_jax.presets import preset_config
 
     config = preset_config("halfcheetah-vel", "fast")
-    network = dataclasses.replace(config.network, kernels=kernels)
-    config = dataclasses.replace(config, seeds=seeds, network=network, engine="native" if what == "learn" else "mjx")
+    config = dataclasses.replace(config, seeds=seeds, engine="native" if what == "learn" else "mjx")
     with tempfile.TemporaryDirectory() as scratch:
         counted = {**count(compile_for_h100(what, config, Path(scratch))), **graphs(Path(scratch))}
     about = {"program": what, "family": config.family, "preset": config.preset, "seeds": seeds}
-    common.write_row(options, "census", {**about, "kernels_by": kernels, "device": "H100", **counted})
+    common.write_row(options, "census", {**about, "kernels_by": "xla", "device": "H100", **counted})
 
 
 def main() -> None:
@@ -148,11 +146,10 @@ def main() -> None:
         print(f"census skipped: {reason}")
         return
     os.environ["JAX_PLATFORMS"] = "cpu"
-    measure(options, "learn", "xla", 1 if options.quick else 5)
+    measure(options, "learn", 1 if options.quick else 5)
     if not options.quick:
-        measure(options, "learn", "fused")
-        measure(options, "collect", "xla")
-        measure(options, "evaluate", "xla")
+        measure(options, "collect")
+        measure(options, "evaluate")
 
 
 if __name__ == "__main__":

@@ -80,9 +80,9 @@ def measure_update(options: argparse.Namespace, config: Config) -> dict[str, Any
     seconds = timed(learn, state, REPEATS)
     if options.trace:
         state = filling(program)(keys)
-        with jax.profiler.trace(str(options.trace / f"{config.network.kernels}-{config.seeds}")):
+        with jax.profiler.trace(str(options.trace / f"{config.seeds}-seeds")):
             jax.block_until_ready(learn(state))
-    sizes = {"batch_size": config.sac.batch_size, "kernels": config.network.kernels}
+    sizes = {"batch_size": config.sac.batch_size, "kernels": "xla"}
     updates = [1e3 * value / config.sac.updates for value in seconds]
     return {**sizes, "compile_s": round(compile_seconds, 1), **common.spread("update_ms", updates)}
 
@@ -107,7 +107,7 @@ def measure_epoch(options: argparse.Namespace, config: Config) -> dict[str, Any]
     """Times epochs of collection and updates."""
     compiled, state, compile_seconds = ready(config)
     seconds = timed(lambda state: train_epochs(compiled, state, 1), state, REPEATS)
-    about = {"engine": config.engine, "overlap": config.collect.overlap, "kernels": config.network.kernels}
+    about = {"engine": config.engine, "overlap": config.collect.overlap}
     return {**about, "compile_s": round(compile_seconds, 1), **common.spread("epoch_s", seconds)}
 
 
@@ -141,18 +141,16 @@ def measurements(options: argparse.Namespace) -> Iterator[Measurement]:
     fast = partial(preset_config, preset="fast")
     engines = ("native",) if options.quick else ("native", "mjx")
     cheetah = changed(fast("halfcheetah-vel"), seeds=5)
-    for kernels in ("xla", "fused"):
-        yield "update", measure_update, changed(cheetah, network__kernels=kernels)
+    yield "update", measure_update, cheetah
     for overlap in (False, True):
         yield "epoch", measure_epoch, changed(cheetah, engine="native", collect__overlap=overlap)
     for engine in engines:
         yield "collect", measure_collect, changed(cheetah, engine=engine)
-    for kernels in ("fused", "xla"):
-        yield "update", measure_update, changed(cheetah, network__kernels=kernels, sac__batch_size=1920)
-        for seeds in (1, 16):
-            yield "update", measure_update, changed(cheetah, network__kernels=kernels, seeds=seeds)
+    yield "update", measure_update, changed(cheetah, sac__batch_size=1920)
+    for seeds in (1, 16):
+        yield "update", measure_update, changed(cheetah, seeds=seeds)
     yield "update", measure_torch, changed(cheetah, seeds=1)
-    yield "update", measure_update, changed(cheetah, network__kernels="fused", network__matmul="bfloat16")
+    yield "update", measure_update, changed(cheetah, network__matmul="bfloat16")
     for family in FAMILIES[1:]:
         for engine in engines:
             yield "collect", measure_collect, changed(fast(family), seeds=3, engine=engine)

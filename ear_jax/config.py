@@ -12,6 +12,7 @@ import tyro
 from ear_jax.errors import UsageError, unknown
 
 MAX_SEED = 2**31  # JAX takes seeds as int32
+RETIRED = ("network.kernels",)  # settings in files of earlier versions; they chose between equal computations
 
 
 def _given(metavar: str, default: str) -> Any:
@@ -63,8 +64,6 @@ class NetworkConfig:
     """Initial weights: as in the authors' code, or uniform by fan-in."""
     matmul: Literal["float32", "bfloat16"] = "float32"
     """Precision of the hidden layers' matmuls during updates; bfloat16 is twice as fast on a CPU with AMX."""
-    kernels: Literal["auto", "xla", "fused"] = "auto"
-    """Kernels of updates: XLA's, or fused ones for NVIDIA GPUs, which a CPU interprets; auto takes XLA's."""
 
 
 @dataclass(frozen=True)
@@ -231,6 +230,8 @@ def from_dict(values: Any, kind: type = Config, where: str = "") -> Any:
     types = get_type_hints(kind)
     settings: dict[str, Any] = {}
     for name, value in values.items():
+        if where + name in RETIRED:
+            continue
         if name not in types:
             raise unknown("setting", where + name, [where + known for known in types])
         if dataclasses.is_dataclass(types[name]):

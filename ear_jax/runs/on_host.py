@@ -90,8 +90,8 @@ class HostCollection:
 
     def collect(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """Runs an epoch of collection, as `training.collect` does on one device."""
-        state, cells, transitions = self._begin(state)
-        return self._stored(state, cells, transitions)
+        state, planned = self._planned(state)
+        return self._stored(state, *self.explore(*planned))
 
     def update(self, state: TrainState) -> tuple[TrainState, Metrics]:
         """Runs an epoch of updates."""
@@ -99,18 +99,26 @@ class HostCollection:
         return replace(learnt, cells=state.cells), metrics
 
     def overlapped(self, state: TrainState) -> tuple[TrainState, Metrics]:
-        """Collects with the policy as it is while the updates of the epoch are made, and stores after them."""
-        state, cells, transitions = self._begin(state)
-        state, learnt = self.learn(state)
-        state, collected = self._stored(state, cells, transitions)
+        """Collects with the policy as it is while the updates of the epoch are made, and stores after them.
+
+        A program that calls the host returns only at its end, so it has a thread of its own.
+        """
+        state, planned = self._planned(state)
+        with ThreadPoolExecutor(1) as thread:
+            exploring = thread.submit(self.explore, *planned)
+            state, learnt = self.learn(state)
+        state, collected = self._stored(state, *exploring.result())
         return state, {**collected, **learnt}
 
-    def _begin(self, state: TrainState) -> tuple[TrainState, EnvState, Transition]:
-        """Starts an epoch of collection on the host, without waiting for it."""
+    def _planned(self, state: TrainState) -> tuple[TrainState, tuple[Plan, EnvState]]:
+        """Returns a state without environments, and on the host the plan of an epoch with its environments.
+
+        The plan is a copy, as updates write over the policy it is made of.
+        """
         held = _without_cells(state)
         later, planned = self.plan(held)
-        cells, transitions = self.explore(*_on_host(planned, state.cells))
-        return replace(held, key=later), cells, transitions
+        planned = jax.device_put(planned, host_device(), may_alias=False)
+        return replace(held, key=later), (planned, *_on_host(state.cells))
 
     def _stored(self, state: TrainState, cells: EnvState, transitions: Transition) -> tuple[TrainState, Metrics]:
         state, metrics = self.store(state, jax.device_put(transitions, seed_sharding(self.members)))

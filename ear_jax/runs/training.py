@@ -17,7 +17,6 @@ from ear_jax.config import Config
 from ear_jax.envs import Family, find_task, make_family
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.errors import UsageError
-from ear_jax.fused import choose_learner
 from ear_jax.learning.episodes import Episodes, play_from, starts
 from ear_jax.learning.learner import Learner, Metrics
 from ear_jax.limits import check
@@ -101,8 +100,7 @@ def with_numbers(program: Program, numbers: Numbers) -> Program:
 
 def _learner(config: Config, family: Family, tasks: TaskSet) -> Learner:
     agent = make_agent(_sizes(family, len(tasks)), config)
-    kind = choose_learner(find_method(config.agent).learner, config)
-    return kind(agent, family, tasks.params, config)
+    return find_method(config.agent).learner(agent, family, tasks.params, config)
 
 
 def _sizes(family: Family, tasks: int) -> Sizes:

@@ -71,45 +71,34 @@ def test_kernels_traffic_and_waits_of_a_known_text():
 
 
 def operations(jaxpr: Jaxpr) -> Counter:
-    """Counts the operations of a traced program; those of a loop once, and a kernel of our own as one."""
+    """Counts the operations of a traced program; those of a loop once."""
     found: Counter = Counter()
     for equation in jaxpr.eqns:
         found[equation.primitive.name] += 1
-        if equation.primitive.name != "pallas_call":
-            for inner in jaxprs_in_params(equation.params):
-                found += operations(inner)
+        for inner in jaxprs_in_params(equation.params):
+            found += operations(inner)
     return found
 
 
-@pytest.mark.parametrize(
-    ("kernels", "most"),
-    [
-        ("xla", {"": 2250, "dot_general": 40, "pallas_call": 0}),
-        ("fused", {"": 1650, "dot_general": 13, "pallas_call": 10}),
-    ],
-)
-def test_learning_on_a_gpu_does_not_grow(kernels, most):
+def test_learning_on_a_gpu_does_not_grow():
     """Traced only: operations in all and of the costly kinds, of an epoch whose updates count once, and no scatter."""
-    config = preset_config("halfcheetah-vel", "fast")
-    config = dataclasses.replace(config, network=dataclasses.replace(config.network, kernels=kernels), engine="native")
+    config = dataclasses.replace(preset_config("halfcheetah-vel", "fast"), engine="native")
     with tracing_for("gpu"):
         program = training.make_program(config)
         state = jax.eval_shape(partial(training.init, program), jax.random.key(0))
         found = operations(jax.make_jaxpr(partial(training.learn, program))(state).jaxpr)
     assert found["scatter-add"] == found["scatter"] == 0
-    assert found.total() <= most.pop("")
-    assert {name: found[name] for name in most} == most
+    assert found.total() <= 2250
+    assert found["dot_general"] == 40
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(census.missing() is not None, reason=str(census.missing()))
-@pytest.mark.parametrize("kernels", ["xla", "fused"])
-def test_kernels_of_an_update_compiled_for_an_h100_do_not_grow(kernels, tmp_path):
-    """Against the committed rows; minutes long, as CUDA's compiler is."""
+def test_kernels_of_an_update_compiled_for_an_h100_do_not_grow(tmp_path):
+    """Against the last committed row."""
     rows = [row for row in records.read_rows(common.RESULTS / "census.jsonl") if row["program"] == "learn"]
-    (row,) = [row for row in rows if row["kernels_by"] == kernels][-1:]
+    (row,) = [row for row in rows if row["kernels_by"] == "xla"][-1:]
     config = dataclasses.replace(preset_config(row["family"], row["preset"]), seeds=row["seeds"], engine="native")
-    config = dataclasses.replace(config, network=dataclasses.replace(config.network, kernels=kernels))
     counted = census.count(census.compile_for_h100("learn", config, Path(tmp_path)))
     assert counted["kernels"] <= row["kernels"]
     assert counted["traffic_mb"] <= 1.01 * row["traffic_mb"]

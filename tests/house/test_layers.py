@@ -25,7 +25,6 @@ ORDER = (
     "envs",
     "agents",
     "learning",
-    "fused",
     "methods",
     "presets",
     "pretrained",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 
 import jax
 import numpy as np
@@ -64,6 +65,22 @@ def test_with_overlap_an_epoch_is_collected_by_the_policy_before_its_updates(on_
     assert (int(later.epoch[0]), int(later.collected[0])) == (1, 3)
     assert metrics.keys() >= {"invalid_steps", "critic_loss", "finite_updates"}
     np.testing.assert_array_equal(jax.random.key_data(blind.key), jax.random.key_data(later.key))
+
+
+def test_with_overlap_updates_begin_before_collection_ends(on_host, filled):
+    """Collection waits for the updates here, and would for ever if they came after it."""
+    parts, begun = on_host.both.__self__, threading.Event()
+
+    def explore(*arguments):
+        assert begun.wait(60), "updates wait for collection"
+        return parts.explore(*arguments)
+
+    def learn(state):
+        begun.set()
+        return parts.learn(state)
+
+    later, _ = dataclasses.replace(parts, explore=explore, learn=learn).overlapped(fresh(filled))
+    assert int(later.epoch[0]) == 1
 
 
 def later_key(state):
