@@ -13,9 +13,9 @@ from ear_jax.figures.style import COLOURS, STYLE, save_figure
 
 KEYS = ("what", "family", "seeds", "device", "batch_size", "kernels", "engine", "overlap", "precision")
 PANELS = (
-    ("update", "update_ms", "ms an update"),
-    ("collect", "collect_s", "s an epoch"),
-    ("epoch", "epoch_s", "s an epoch"),
+    ("update", "update_ms", "update, ms"),
+    ("collect", "collect_s", "collection of an epoch, s"),
+    ("epoch", "epoch_s", "epoch, s"),
 )
 
 
@@ -27,9 +27,17 @@ def draw_page(results: Path) -> Path | None:
         return None
     with plt.rc_context(STYLE):
         present = [panel for panel in PANELS if any(row["what"] == panel[0] for row in rows)]
-        figure, panels = plt.subplots(len(present), 1, figsize=(7.0, 8.5), layout="constrained", squeeze=False)
-        for axes, (what, key, label) in zip(panels[:, 0], present, strict=True):
-            _bars(axes, [row for row in rows if row["what"] == what], key, label)
+        bars = [[row for row in rows if row["what"] == what] for what, *_ in present]
+        heights = [1 + len(of_panel) for of_panel in bars]
+        figure, panels = plt.subplots(
+            len(present),
+            figsize=(7.0, 1.5 + 0.3 * sum(heights)),
+            layout="constrained",
+            squeeze=False,
+            gridspec_kw={"height_ratios": heights},
+        )
+        for axes, of_panel, (_, key, label) in zip(panels[:, 0], bars, present, strict=True):
+            _bars(axes, of_panel, key, label)
         devices = ", ".join(sorted({f"{row['device']}, {row['host_cores']} cores" for row in rows}))
         figure.suptitle(devices + (" (rehearsal)" if all(row["quick"] for row in rows) else ""))
         save_figure(figure, results / "gpu.png")
@@ -41,7 +49,7 @@ def _bars(axes: Axes, rows: list[dict[str, Any]], key: str, label: str) -> None:
     """Draws a horizontal bar for each row, with the range of its runs and its number."""
     for index, row in enumerate(rows):
         low, high = row[key] - row[f"{key}_min"], row[f"{key}_max"] - row[key]
-        colour = COLOURS[row.get("kernels") == "fused" or row.get("engine") == "mjx"]
+        colour = COLOURS[row.get("engine") == "mjx" or row.get("kernels", "xla") not in ("xla", "auto")]
         axes.barh(index, row[key], xerr=[[low], [high]], color=colour, error_kw={"elinewidth": 0.8})
         axes.annotate(f" {row[key]:.3g}", (row[f"{key}_max"], index), va="center", fontsize=7)
     axes.set_yticks(range(len(rows)), [_name(row) for row in rows], fontsize=7)

@@ -48,14 +48,20 @@ PRESETS: dict[str, dict[str, Any]] = {
 }
 
 # Variants follow a preset's name after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), the
-# hidden layer of the task encoder in the authors' code, networks that need more than an hour of one core, and LTEs that
-# start close together.
+# hidden layer of the task encoder in the authors' code, networks that need more than an hour of one core, LTEs that
+# start close together, and the critics of BRC (naumix/BiggerRegularizedCategorical).
 VARIANTS: dict[str, dict[str, Any]] = {
     "no-noise": {"sac": {"lte_noise": 0.0}},
     "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
     "task-hidden": {"network": {"task_layers": 1}},
     "wide": {"network": {"width": 512, "matmul": "bfloat16"}},
     "gathered": {"network": {"lte_start": "gathered"}},
+    # An update costs twice as much, so a run has half as many.
+    "categorical": {
+        "epochs": 190,
+        "network": {"critic_blocks": 2, "critic_bins": 101, "critic_task": "both"},
+        "sac": {"lr_decay": 76_000, "return_scale": 10.0, "weight_decay": 0.01},
+    },
 }
 
 

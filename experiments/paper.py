@@ -74,8 +74,8 @@ def numbers() -> dict[str, Any]:
 CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper-vel", "walker-vel")
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
-WIDE, GATHERED = "+wide", "+gathered"
-EAR_VARIANTS = ("", WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
+WIDE, GATHERED, CATEGORICAL = "+wide", "+gathered", "+categorical"
+EAR_VARIANTS = ("", CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
 
 EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
@@ -158,6 +158,11 @@ OURS = (
         "gathered",
         "EAR with LTEs gathered at the start",
         methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", GATHERED)),
+    ),
+    Experiment(
+        "categorical",
+        "EAR with residual categorical critics",
+        methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", CATEGORICAL)),
     ),
     Experiment("space", "how good EAR's spaces of LTEs are"),
     Experiment(

@@ -37,6 +37,7 @@ VARIANTS = {
     "+no-noise+no-norm": " without either",
     "+wide": ", twice as wide",
     "+gathered": ", LTEs gathered at the start",
+    "+categorical": ", categorical critics",
 }
 
 

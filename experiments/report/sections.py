@@ -36,6 +36,7 @@ TABLES: dict[str, Callable[[RunIndex], list[Block]]] = {
     "agents": tables.agents,
     "wide": partial(tables.variants, "wide"),
     "gathered": partial(tables.variants, "gathered"),
+    "categorical": partial(tables.variants, "categorical"),
     "space": spaces.spaces,
     "reach": tables.reach,
     **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(BLENDED)},
