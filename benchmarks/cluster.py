@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from benchmarks import common
+from tests.helpers.raylets import two_nodes
 
 RUNS, AT_ONCE = 6, 2
 NAP = (
@@ -57,10 +58,9 @@ def timed(run: Callable[[float], None], seconds: float) -> float:
 
 def main() -> None:
     options = common.arguments(__doc__)
-    seconds, repeats = (2.0, 1) if options.quick else (60.0, 1)
-    line, pipe = [sys.executable, "-m", "tests.helpers.raylets"], subprocess.PIPE
-    with subprocess.Popen(line, stdin=pipe, stdout=pipe, text=True) as cluster:
-        os.environ["RAY_ADDRESS"] = next(line for line in cluster.stdout if line[0].isdigit()).strip()  # type: ignore[union-attr]
+    seconds, repeats = (2.0, 1) if options.quick else (60.0, 3)
+    with two_nodes(os.environ) as (_, address):
+        os.environ["RAY_ADDRESS"] = address
         hand, ray = [], []
         for _ in range(repeats):
             hand.append(timed(by_hand, seconds))
@@ -69,7 +69,6 @@ def main() -> None:
         row |= common.spread("by_hand_seconds", hand) | common.spread("on_ray_seconds", ray)
         row |= common.spread("ratio", common.ratios(ray, hand))
         common.write_row(options, "cluster", row)
-        cluster.stdin.close()  # type: ignore[union-attr]
 
 
 if __name__ == "__main__":

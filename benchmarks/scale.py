@@ -125,8 +125,9 @@ def costs() -> str:
     """Returns the measured part of docs/scale.md."""
     found, lines = newest("scale"), []
     lines += [
-        "| seeds | tasks | collection of an epoch | an update | an evaluation | state | peak memory |",
-        "|" + "---|" * 7,
+        "| seeds | tasks | collection of an epoch | an update | of it a seed and task | an evaluation | state | "
+        "peak memory |",
+        "|" + "---|" * 8,
     ]
     seen = set()
     for row in found:
@@ -134,7 +135,8 @@ def costs() -> str:
             seen.add(size)
             lines.append(
                 f"| {row['seeds']} | {row['tasks']:,} | {row['collect_seconds']:.2f} s | "
-                f"{1e3 * row['update_seconds']:,.0f} ms | {row['evaluate_seconds']:.2f} s | "
+                f"{1e3 * row['update_seconds']:,.0f} ms | {1e3 * row['update_seconds'] / math.prod(size):.1f} ms | "
+                f"{row['evaluate_seconds']:.2f} s | "
                 f"{row['state_bytes'] / 1e6:,.0f} MB | {row['peak_bytes'] / 1e9:.1f} GB |"
             )
     told = []

@@ -13,7 +13,9 @@ import jax.numpy as jnp
 from ear_jax.agents import categorical
 from ear_jax.agents.networks import Network, Params, batch_normed, mlp, residual, unit_columns
 from ear_jax.config import Config, NetworkConfig, is_on
+from ear_jax.process.target import on_accelerator
 
+FEW = 32  # tasks up to which a CPU multiplies by a one-hot, which is then as fast as taking a row
 Prediction = Any  # of one critic for one item: here Q, a scalar; for a categorical critic its logits [bins]
 Bellman = Callable[[jax.Array], jax.Array]  # next state's Q, of any shape → r + γ (Q − α log π)
 
@@ -101,16 +103,53 @@ def make_critic(
     return replace(critic, target=partial(clipped_target, limit=limit)) if is_on(limit) else critic
 
 
-def task_critic(obs_size: int, action_size: int, task_size: int, config: Config) -> Critic:
-    """Builds a critic of observation, action and task, where the task is a one-hot, a code or both."""
+def task_critic(obs_size: int, action_size: int, task_size: int, config: Config, one_hot: int = 0) -> Critic:
+    """Builds a critic of observation, action and task, where the task is a one-hot, a code or both.
+
+    Args:
+      obs_size: the size of an observation.
+      action_size: the size of an action.
+      task_size: the size of what the critic sees of the task.
+      config: the settings.
+      one_hot: how many numbers of that, the first ones, are a one-hot.
+    """
     bins = config.network.critic_bins
-    network = critic_network(obs_size + action_size + task_size, bins or 1, config.network)
+    before, inputs = obs_size + action_size, obs_size + action_size + task_size
+    network = critic_network(inputs, bins or 1, config.network)
+    if one_hot > FEW and not config.network.critic_batch_norm and not on_accelerator():
+        rest = critic_network(inputs - one_hot, bins or 1, config.network)
+        network = replace(network, apply=with_row(rest, before, one_hot))
     return make_critic(
         network,
         config,
         join=lambda *inputs: jnp.concatenate(inputs),
         select=lambda output, task: output if bins else output[0],
     )
+
+
+def with_row(rest: Network, start: int, size: int) -> Callable[[Params, jax.Array], jax.Array]:
+    """Returns how a network is applied that sees a one-hot, at a cost that does not grow with the one-hot's size.
+
+    All that a one-hot does is to add a row of the first layer's weights, which is added to the bias here.
+
+    Args:
+      rest: the network without the one-hot.
+      start: the place of the one-hot in the input.
+      size: its size.
+    """
+    end = start + size
+
+    def apply(params: Params, x: jax.Array) -> jax.Array:
+        layers = params["params"]
+        kernel, bias = (layers["Dense_0"][name] for name in ("kernel", "bias"))
+        first = {
+            "kernel": jnp.concatenate([kernel[:start], kernel[end:]]),
+            "bias": bias + kernel[start + jnp.argmax(x[start:end])],
+        }
+        others = jnp.concatenate([x[:start], x[end:]])
+        return rest.apply({"params": {**layers, "Dense_0": first}}, others)
+
+    return apply
 
 
 def seen_as(critic: Critic, change: Callable[[jax.Array, jax.Array, jax.Array], tuple[jax.Array, ...]]) -> Critic:

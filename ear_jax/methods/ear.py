@@ -26,7 +26,7 @@ def ear(sizes: Sizes, config: Config) -> Agent:
     task_encoder = mlp(sizes.tasks, task_widths, network.lte_size, network, gathered=gathered)
     decoder = mlp(network.lse_size + network.lte_size, widths * network.decoder_layers, 2 * sizes.action, network)
     task_sizes = {"onehot": sizes.tasks, "lte": network.lte_size, "both": sizes.tasks + network.lte_size}
-    task_size = task_sizes[network.critic_task]
+    task_size, one_hot = task_sizes[network.critic_task], 0 if network.critic_task == "lte" else sizes.tasks
     on_lse_sphere = unit_vector if network.normalise_lse else lambda lse: lse
     on_lte_sphere = unit_vector if network.normalise_lte else lambda lte: lte
 
@@ -64,7 +64,7 @@ def ear(sizes: Sizes, config: Config) -> Agent:
         codes=codes,
         project=on_lte_sphere,
         distribution=distribution,
-        critic=task_critic(sizes.obs, sizes.action, task_size, config),
+        critic=task_critic(sizes.obs, sizes.action, task_size, config, one_hot),
         code_noise=config.sac.lte_noise,
         on_sphere=network.normalise_lte,
         critic_task=network.critic_task,

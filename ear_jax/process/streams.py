@@ -86,6 +86,19 @@ def flush_results() -> str | None:
     return reason
 
 
+@contextmanager
+def libraries_muted() -> Iterator[None]:
+    """Sends nowhere meanwhile what libraries write on stdout past Python, such as Gloo's news of its connections."""
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)
+
+
 class Stderr:
     """The process's stderr without its errors; after the first one its text goes nowhere."""
 

@@ -14,7 +14,7 @@ from ear_jax.agents.networks import Params
 from ear_jax.learning.episodes import Episodes
 from ear_jax.process.target import on_accelerator
 from ear_jax.runs import training
-from ear_jax.runs.seeds import over_seeds
+from ear_jax.runs.seeds import over_seeds, spread
 from ear_jax.runs.training import Program, TrainState
 
 
@@ -46,7 +46,7 @@ def compile_program(program: Program, keys: jax.Array, numbers: Mapping[str, np.
       keys: each member's initial key, [members].
       numbers: settings in which members differ, each [members]; they are arguments of what is compiled.
     """
-    members, numbers = len(keys), dict(numbers or {})
+    members, spread_numbers = len(keys), {name: spread(values) for name, values in (numbers or {}).items()}
 
     def init(numbers: training.Numbers, key: jax.Array) -> TrainState:
         return training.init(training.with_numbers(program, numbers), key)
@@ -62,15 +62,15 @@ def compile_program(program: Program, keys: jax.Array, numbers: Mapping[str, np.
 
     axes, matmul = (0, 0), program.config.network.matmul
     start, play = over_seeds(init, members, axes), over_seeds(evaluate, members, axes)
-    state = jax.eval_shape(start, numbers, keys)
+    state = jax.eval_shape(start, spread_numbers, keys)
     jitted = (
         (over_seeds(collect, members, axes, donate_argnums=1), state),
         (over_seeds(learn, members, axes, matmul, in_turn=not on_accelerator(), donate_argnums=1), state),
         (start, keys),
     )
     with ThreadPoolExecutor() as pool:
-        jobs = [pool.submit(function.lower(numbers, argument).compile) for function, argument in jitted]
-        collecting, learning, starting = (partial(job.result(), numbers) for job in jobs)
+        jobs = [pool.submit(function.lower(spread_numbers, argument).compile) for function, argument in jitted]
+        collecting, learning, starting = (partial(job.result(), spread_numbers) for job in jobs)
     return Compiled(starting, collecting, learning, play, state)
 
 

@@ -45,6 +45,11 @@ def seed_sharding(seeds: int) -> NamedSharding:
     return NamedSharding(Mesh(devices, (AXIS,)), PartitionSpec(AXIS))
 
 
+def spread(values: np.ndarray) -> jax.Array:
+    """Spreads an array [seeds, …], which every process has, over devices: each gets that of its seeds."""
+    return jax.make_array_from_callback(values.shape, seed_sharding(len(values)), lambda index: values[index])
+
+
 def own_members(tree: Any) -> Any:
     """Returns this host's seeds of a pytree with leaves [seeds, …], as arrays of NumPy."""
     if hosts.count() == 1:

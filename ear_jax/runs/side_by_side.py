@@ -13,6 +13,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 
 from ear_jax.config import Config, flat, is_on
 from ear_jax.process import hosts
+from ear_jax.process.streams import libraries_muted
 from ear_jax.runs.seeds import seed_sharding
 from ear_jax.runs.training import seed_keys
 
@@ -48,8 +49,11 @@ def keys_of(configs: Sequence[Config]) -> jax.Array:
     def keys() -> jax.Array:
         return jnp.concatenate([seed_keys(config) for config in configs])
 
+    if hosts.count() == 1:
+        return keys()
     seeds = sum(config.seeds for config in configs)
-    return keys() if hosts.count() == 1 else jax.jit(keys, out_shardings=seed_sharding(seeds))()
+    with libraries_muted():  # the first program over hosts connects them
+        return jax.block_until_ready(jax.jit(keys, out_shardings=seed_sharding(seeds))())
 
 
 def over_hosts(seeds: int) -> NamedSharding | None:

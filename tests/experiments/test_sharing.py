@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 
 from experiments import inventory
-from experiments.inventory import is_complete, jobs
+from experiments.inventory import Job, is_complete, jobs
 from experiments.paper import EXPERIMENTS
+from tests.helpers.raylets import two_nodes
 
 ROOT = Path(__file__).parents[2]
 # `ear` with a training of half a second, which it continues after a stop; nobody else may train there meanwhile.
@@ -46,7 +47,8 @@ if command == "train":
         time.sleep(0.02)
     document = json.loads(Path("configs", name).read_text())
     (run / "config.json").write_text(json.dumps({"config": document}))
-    (run / "metrics.jsonl").write_text(json.dumps({"epoch": document["epochs"], "seconds": 1.0}) + chr(10))
+    row = {"epoch": document["epochs"], "mean_return": 1.0, "seconds": 1.0}
+    (run / "metrics.jsonl").write_text(json.dumps(row) + chr(10))
     done.write_text("25")
     log(f"trained {name}")
 elif command == "export":
@@ -57,6 +59,7 @@ else:
     log(f"{command} {words[0]}")
     print("{}")
 """
+INSTEAD = "del sys.modules['experiments']"  # of this package, the one that the next lines find
 REPRODUCE = """
 import sys; sys.path[0] = sys.argv.pop(1)
 from pathlib import Path
@@ -67,18 +70,30 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_of_eight_processes_three_are_killed_and_every_run_is_made_once(seed, place):
-    dice, names = random.Random(seed), {}
+def prepare(place: Path, seeds: int) -> list[Job]:
+    """Puts that `ear` at a place, with the settings of the runs wanted there, which are returned."""
     for package in (place / "ear_jax", place / "ear_jax" / "cli", place / "configs"):
         package.mkdir()
         (package / "__init__.py").touch()
     (place / "ear_jax" / "cli" / "main.py").write_text(EAR)
-    wanted = jobs(EXPERIMENTS["table-8"], "fast", seeds=8)
+    wanted = jobs(EXPERIMENTS["table-8"], "fast", seeds=seeds)
     for job in wanted:
-        names[job.name] = job
         (place / "configs" / job.name).write_text(json.dumps(asdict(job.config)))
+    return wanted
+
+
+def assert_each_made_once(wanted: list[Job], place: Path) -> None:
+    assert all(map(is_complete, wanted))
+    names, log = {job.name for job in wanted}, (place / "log").read_text().splitlines()
+    assert sorted(line for line in log if line.startswith("trained")) == sorted(f"trained {name}" for name in names)
+    assert {line.split("/")[-1] for line in log if line.startswith("evaluate")} == names
+    assert not list(inventory.RECORDS.glob(".*"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_of_eight_processes_three_are_killed_and_every_run_is_made_once(seed, place):
+    dice, wanted = random.Random(seed), prepare(place, seeds=8)
     line = [sys.executable, "-c", REPRODUCE, str(ROOT), "reproduce", "table-8", "--seeds", "8"]
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     workers = [subprocess.Popen(line, env=environment, stderr=subprocess.PIPE, text=True) for _ in range(8)]
@@ -97,8 +112,21 @@ def test_of_eight_processes_three_are_killed_and_every_run_is_made_once(seed, pl
     for worker in set(workers) - set(victims):
         assert worker.returncode == 0, said[worker]
         assert said[worker].endswith("table-8 is complete: 16 runs\n")
-    assert all(map(is_complete, wanted))
-    log = (place / "log").read_text().splitlines()
-    assert sorted(line for line in log if line.startswith("trained")) == sorted(f"trained {name}" for name in names)
-    assert {line.split("/")[-1] for line in log if line.startswith("evaluate")} == set(names)
-    assert not list(inventory.RECORDS.glob(".*"))
+    assert_each_made_once(wanted, place)
+
+
+@pytest.mark.slow
+def test_on_a_ray_cluster_every_run_is_made_once(place):
+    pytest.importorskip("ray", reason="Ray is not installed: pip install 'ear-jax[cluster]'")
+    wanted, package = prepare(place, seeds=3), place / "experiments"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "__main__.py").write_text(f"import sys; sys.argv.insert(1, {str(ROOT)!r}); {INSTEAD}{REPRODUCE}")
+    line = [sys.executable, "-m", "experiments", "reproduce", "table-8", "--seeds", "3", "--on", "ray"]
+    with two_nodes({**os.environ, "PYTHONPATH": str(ROOT)}) as (_, address):
+        environment = {**os.environ, "PYTHONPATH": "", "RAY_ADDRESS": address}
+        done = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=400)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.endswith("table-8 is complete: 6 runs\n")
+    assert len([line for line in done.stderr.splitlines() if "│ done" in line]) == 6, "the table"
+    assert_each_made_once(wanted, place)

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 import pytest
 
-from ear_jax.config import CheckpointConfig, Config, words_of
+from ear_jax.config import CheckpointConfig, Config, flag, words_of
 from ear_jax.presets import preset_config
 from ear_jax.runs import checkpoint, records, training
 from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
@@ -61,6 +61,13 @@ def compile_once(program: Program, keys: jax.Array, numbers: Mapping[str, np.nda
 def words(config: Config) -> list[str]:
     """Returns the command line of a configuration, with every setting named."""
     return ["train", *words_of(config)]
+
+
+def sweep_words(config: Config, setting: str, *values: str) -> list[str]:
+    """Returns the command line of a sweep in which a setting has these values, and every other that of `config`."""
+    line = words_of(config)
+    place = line.index(flag(setting))
+    return ["sweep", *line[:place], *line[place + 2 :], "--vary", setting, *values]
 
 
 # When a write fails, Orbax abandons other writes, and Python reports each when it is collected.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from ear_jax.agents import critic as critics
 from ear_jax.agents.critic import aggregate_q, task_critic
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian, sample, squash
 from ear_jax.config import Config, NetworkConfig
@@ -86,3 +89,28 @@ def test_without_noise_the_action_is_tanh_of_the_mean():
     distribution = gaussian(jnp.array([0.3, -2.0, 9.0, -99.0]))
     np.testing.assert_allclose(squash(distribution, jnp.zeros(2)), np.tanh([0.3, -2.0]), rtol=1e-6)
     np.testing.assert_allclose(distribution.log_std, [2.0, -20.0])
+
+
+@pytest.mark.parametrize(
+    "network",
+    [NetworkConfig(8, critic_layers=1), pytest.param(NetworkConfig(8, critic_blocks=1), marks=pytest.mark.slow)],
+)
+def test_a_row_of_weights_stands_for_the_one_hot_of_many_tasks(network, monkeypatch):
+    """Predictions and gradients are those of the whole product but for rounding."""
+    monkeypatch.setattr(critics, "FEW", 2)
+    tasks, code, items = 3, 2, 6
+    multiplied, by_row = (task_critic(4, 1, tasks + code, Config("bandit", network=network), n) for n in (0, tasks))
+    keys = jax.random.split(jax.random.key(0), 4)
+    params = jax.jit(jax.vmap(multiplied.init))(keys[:2])
+    obs, action = jax.random.normal(keys[2], (items, 4)), jnp.linspace(-1, 1, items)[:, None]
+    task = jnp.hstack([jnp.eye(tasks)[jnp.array([0, 2, 1, 1, 0, 2])], jax.random.normal(keys[3], (items, code))])
+
+    def loss(critic, params, action, task):
+        return jnp.sum(losses.predictions(params, critic, obs, action, task) ** 2)
+
+    def value_and_grads(critic):
+        value, (*grads, by_task) = jax.value_and_grad(partial(loss, critic), (0, 1, 2))(params, action, task)
+        return value, grads, by_task[:, tasks:]  # nobody needs the gradient by a one-hot
+
+    one, other = jax.jit(lambda: tuple(map(value_and_grads, (multiplied, by_row))))()
+    jax.tree.map(lambda mine, theirs: np.testing.assert_allclose(mine, theirs, rtol=1e-4, atol=1e-5), one, other)

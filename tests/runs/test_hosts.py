@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import socket
 import subprocess
@@ -17,7 +18,7 @@ import pytest
 from ear_jax.config import CheckpointConfig, Config
 from ear_jax.runs import checkpoint, loop, records
 from ear_jax.runs.loop import train_run
-from tests.helpers.runs import last_state, leaves, step_arrays, tiny_config, words
+from tests.helpers.runs import last_state, leaves, step_arrays, sweep_words, tiny_config, words
 from tests.helpers.toy import compile_toy
 
 ROOT = Path(__file__).parents[2]
@@ -31,9 +32,14 @@ def free_port() -> int:
 
 
 def command(
-    config: Config, run: Path, devices: int, hosts: tuple[int, int, int] | None = None, program: str = QUICK
+    config: Config,
+    run: Path,
+    devices: int,
+    hosts: tuple[int, int, int] | None = None,
+    program: str = QUICK,
+    vary: tuple[str, ...] = (),
 ) -> dict[str, object]:
-    """Returns how a process of a run is started.
+    """Returns how a process of a run or of a sweep is started.
 
     Args:
       config: the run's.
@@ -41,8 +47,10 @@ def command(
       devices: emulated, of each process.
       hosts: port of the coordinator, number of processes and index of this one.
       program: a module that stands for `ear`.
+      vary: the setting that varies in a sweep, and its values.
     """
-    line = [sys.executable, "-m", program, *words(config), "--out", str(run)]
+    given = sweep_words(config, *vary) if vary else words(config)
+    line = [sys.executable, "-m", program, *given, "--out", str(run)]
     if hosts:
         port, count, index = hosts
         line += ["--hosts.coordinator", f"127.0.0.1:{port}", "--hosts.count", str(count), "--hosts.index", str(index)]
@@ -54,12 +62,12 @@ def command(
 
 @contextmanager
 def started(
-    config: Config, run: Path, count: int, devices: int = 1, program: str = QUICK
+    config: Config, run: Path, count: int, devices: int = 1, **how: object
 ) -> Iterator[list[subprocess.Popen[str]]]:
     """Starts a run over hosts; ends what is left of it."""
     port = free_port()
     processes = [
-        subprocess.Popen(**command(config, run, devices, (port, count, index), program)) for index in range(count)
+        subprocess.Popen(**command(config, run, devices, (port, count, index), **how)) for index in range(count)
     ]
     try:
         yield processes
@@ -69,15 +77,16 @@ def started(
             process.communicate()
 
 
-def trained(config: Config, run: Path, count: int, devices: int = 1) -> list[str]:
+def trained(config: Config, run: Path, count: int, devices: int = 1, **how: object) -> tuple[str, ...]:
     """Trains on hosts, or on one without naming it; returns what each process said."""
     if count == 1:
-        done = subprocess.run(**command(config, run, devices), timeout=600)
+        done = subprocess.run(**command(config, run, devices, **how), timeout=600)
         assert done.returncode == 0, done.stderr
-        return [done.stderr]
-    with started(config, run, count, devices) as processes:
-        said = [process.communicate(timeout=600)[1] for process in processes]
+        return (done.stderr,)
+    with started(config, run, count, devices, **how) as processes:
+        printed, said = zip(*(process.communicate(timeout=600) for process in processes), strict=True)
         assert [process.returncode for process in processes] == [0] * count, said
+        assert not any(printed[1:]), "process 0 prints"
     return said
 
 
@@ -127,8 +136,9 @@ def test_a_host_is_killed_the_other_ends_and_one_host_continues(tmp_path, monkey
     with started(four_seeds(epochs=100_000), run, count=2, program="tests.helpers.toy") as processes:
         wait_for(processes[0], lambda: len(checkpoint.steps(run / "checkpoints")) > 2)
         processes[1].kill()
-        _, said = processes[0].communicate(timeout=30)
+        printed, said = processes[0].communicate(timeout=30)
     assert processes[0].returncode == 1
+    assert printed == ""
     assert "seeds 0–3 on 2 hosts" in said
     assert [line for line in said.splitlines() if line.startswith("ear: ")] == [ended(1)]
     epochs = checkpoint.newest(run / "checkpoints", pytest.fail).epoch + 4
@@ -162,14 +172,14 @@ def test_four_seeds_on_two_hosts_are_those_of_one(whole, tmp_path):
 @pytest.mark.slow
 def test_saved_on_two_hosts_continued_on_one_and_back(whole, tmp_path):
     run = tmp_path / "run"
-    for epochs, count, devices in ((2, 2, 1), (4, 1, 2), (6, 2, 1), (8, 2, 1)):
+    for epochs, count, devices in ((2, 2, 1), (4, 1, 2), (8, 2, 1)):
         trained(four_seeds(epochs=epochs), run, count, devices)
     assert_equal_bits(run, whole, four_seeds())
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("killed", [0, 1])
-def test_a_killed_host_ends_the_other_with_one_line_and_the_same_command_continues(killed, whole, tmp_path):
+def test_a_killed_host_ends_the_other_with_one_line_and_the_same_command_continues(killed, tmp_path):
     config, run = four_seeds(epochs=2000), tmp_path / "run"
     with started(config, run, count=2) as processes:
         wait_for(processes[0], lambda: len(checkpoint.steps(run / "checkpoints")) > 1)
@@ -186,3 +196,24 @@ def test_a_killed_host_ends_the_other_with_one_line_and_the_same_command_continu
     trained(config, run, count=2)
     trained(config, tmp_path / "whole", count=1, devices=2)
     assert_equal_bits(run, tmp_path / "whole", config)
+
+
+@pytest.mark.slow
+def test_a_sweep_over_two_hosts_is_that_of_one_which_also_continues_it(tmp_path):
+    """Of trials of one seed, which no trial alone could spread over the hosts."""
+    config, vary = tiny_config(checkpoint=CheckpointConfig(blocks=1)), ("sac.lr", "1e-4", "3e-3")
+    half = dataclasses.replace(config, epochs=2)
+    said = trained(half, tmp_path / "two", count=2, vary=vary)
+    assert "on 2 hosts" in said[0]
+    assert said[1] == "", "process 0 tells"
+    for name in ("two", "one"):
+        trained(config, tmp_path / name, count=1, devices=2, vary=vary)
+    documents = [records.read_json(tmp_path / name / "sweep.json") for name in ("two", "one")]
+    assert [trial["return"] for trial in documents[0]["trials"]] == [
+        trial["return"] for trial in documents[1]["trials"]
+    ]
+    for value in vary[1:]:
+        trial = f"sac.lr={value}"
+        assert_equal_bits(tmp_path / "two" / trial, tmp_path / "one" / trial, config)
+    states_of_trials = [states(tmp_path / "one" / f"sac.lr={value}", config) for value in vary[1:]]
+    assert not all(map(np.array_equal, *states_of_trials))

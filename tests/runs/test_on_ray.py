@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -19,7 +18,8 @@ from ear_jax.cli.main import main
 from ear_jax.config import CheckpointConfig, Config
 from ear_jax.runs import checkpoint, loop, records
 from ear_jax.runs.loop import train_run
-from tests.helpers.runs import step_arrays, tiny_config, words
+from tests.helpers.raylets import two_nodes
+from tests.helpers.runs import step_arrays, sweep_words, tiny_config, words
 from tests.helpers.toy import compile_toy
 
 ROOT = Path(__file__).parents[2]
@@ -35,17 +35,12 @@ sys.exit(exit_code("ear", lambda: check(run_jobs(jobs, Path("logs"), 1), Path("l
 
 
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """A cluster whose address is in HERE."""
+def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[subprocess.Popen[str]]:
+    """The process of a cluster whose address is in HERE."""
     pytest.importorskip("ray", reason="Ray is not installed: pip install 'ear-jax[cluster]'")
-    line, pipe = [sys.executable, "-m", "tests.helpers.raylets"], subprocess.PIPE
-    environment = {**HERE, "EAR_JAX_CACHE": str(tmp_path / "cache")}
-    with subprocess.Popen(line, env=environment, stdin=pipe, stdout=pipe, text=True) as process:
-        address = next(line for line in process.stdout if re.fullmatch(r"[\d.]+:\d+\n", line))
-        HERE["RAY_ADDRESS"] = address.strip()
+    with two_nodes({**HERE, "EAR_JAX_CACHE": str(tmp_path / "cache")}) as (process, address):
+        monkeypatch.setitem(HERE, "RAY_ADDRESS", address)
         yield process
-        process.stdin.close()
-        process.wait(60)
 
 
 def seeds_apart(count: int, **changes: object) -> list[Config]:
@@ -136,17 +131,19 @@ def test_a_driver_that_is_killed_leaves_nothing_running(cluster, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_sweep_on_the_cluster_is_told_like_one_here(cluster, tmp_path, capsys):
-    trials = ["--vary", "sac.lr", "1e-3", "2", "--seeds", "2"]
-    line = [sys.executable, "-m", "ear_jax.cli.main", "sweep", "halfcheetah-vel", "--preset", "smoke", *trials]
-    line += ["--on", "ray", "--out", "sweep", "--json", "--vary", "network.width", "16", "24"]
-    done = subprocess.run(line, cwd=tmp_path, env=HERE, capture_output=True, text=True, timeout=550)
-    assert done.returncode == 2, "a step size of 2 is refused before anything starts"
-    line[line.index("2")] = "1e-4"
-    done = subprocess.run(line, cwd=tmp_path, env=HERE, capture_output=True, text=True, timeout=550)
+def test_a_sweep_on_the_cluster_is_told_like_one_here(cluster, tmp_path):
+    config = tiny_config(epochs=2, seeds=2)
+
+    def swept(*values: str) -> subprocess.CompletedProcess[str]:
+        line = [sys.executable, "-m", "ear_jax.cli.main", *sweep_words(config, "sac.lr", *values)]
+        line += ["--on", "ray", "--out", "sweep", "--json"]
+        return subprocess.run(line, cwd=tmp_path, env=HERE, capture_output=True, text=True, timeout=400)
+
+    assert swept("1e-3", "2").returncode == 2, "a step size of 2 is refused before anything starts"
+    done = swept("1e-3", "1e-4")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
-    assert len(document["trials"]) == 4
+    assert {trial["name"] for trial in document["trials"]} == {"sac.lr=1e-3", "sac.lr=1e-4"}
     assert all(len(trial["seeds"]) == 2 and trial["failed"] is None for trial in document["trials"])
 
 
