@@ -109,10 +109,19 @@ def against(options: argparse.Namespace, axis: str, sizes: tuple[tuple[int, int]
         common.write_row(options, "scale", row)
 
 
+def measured(benchmark: str) -> list[dict[str, Any]]:
+    """Returns the rows of whole measurements, the newest last."""
+    return [row for row in records.read_rows(common.RESULTS / f"{benchmark}.jsonl") if not row["quick"]]
+
+
 def newest(benchmark: str) -> list[dict[str, Any]]:
     """Returns the last whole measurement of each size, or of each other row's kind."""
-    rows = [row for row in records.read_rows(common.RESULTS / f"{benchmark}.jsonl") if not row["quick"]]
-    return list({(row.get("axis"), row.get("seeds"), row.get("tasks")): row for row in rows}.values())
+    return list({(row.get("axis"), row.get("seeds"), row.get("tasks")): row for row in measured(benchmark)}.values())
+
+
+def _first(like: dict[str, Any]) -> dict[str, Any]:
+    """Returns the first measurement of a row's size."""
+    return next(row for row in measured("scale") if all(row[name] == like[name] for name in ("axis", "seeds", "tasks")))
 
 
 def total_growth(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -144,6 +153,10 @@ def costs() -> str:
         rows = [row for row in found if row["axis"] == axis]
         powers = ", ".join(f"{WORDS[name]} to the power {power:.2f}" for name, power in total_growth(rows).items())
         told.append(f"From {rows[0][axis]} to {rows[-1][axis]:,} {axis}: {powers}.")
+    told.append(
+        f"While critics multiplied by the one-hot, an update of {rows[-1]['tasks']:,} tasks took "
+        f"{1e3 * _first(rows[-1])['update_seconds']:,.0f} ms."
+    )
     (saving,), (cluster,) = newest("saving"), newest("cluster")
     return "\n".join((*lines, "", " ".join(told), "", plan(found, saving), "", _ray(cluster)))
 
@@ -172,9 +185,11 @@ def plan(rows: list[dict[str, Any]], saving: dict[str, Any]) -> str:
 
 def _ray(row: dict[str, Any]) -> str:
     """Returns the overhead of Ray, in words."""
+    more, least, most = (100 * (row[name] - 1) for name in ("ratio", "ratio_min", "ratio_max"))
     return (
         f"Six runs of {row['seconds_a_run']:.0f} s, two at a time, took {row['by_hand_seconds']:.0f} s by hand and "
-        f"{row['on_ray_seconds']:.0f} s on a Ray cluster of two nodes: {100 * (row['ratio'] - 1):.1f} % more."
+        f"{row['on_ray_seconds']:.0f} s on a Ray cluster of two nodes: {more:.1f} % more, the median of "
+        f"{row['repeats']} repeats ({least:.1f} to {most:.1f} %)."
     )
 
 
