@@ -111,7 +111,7 @@ def task_critic(obs_size: int, action_size: int, task_size: int, config: Config,
       action_size: the size of an action.
       task_size: the size of what the critic sees of the task.
       config: the settings.
-      one_hot: how many numbers of that, the first ones, are a one-hot.
+      one_hot: the size of the one-hot with which that begins, if there is one.
     """
     bins = config.network.critic_bins
     before, inputs = obs_size + action_size, obs_size + action_size + task_size
@@ -128,14 +128,14 @@ def task_critic(obs_size: int, action_size: int, task_size: int, config: Config,
 
 
 def with_row(rest: Network, start: int, size: int) -> Callable[[Params, jax.Array], jax.Array]:
-    """Returns how a network is applied that sees a one-hot, at a cost that does not grow with the one-hot's size.
+    """Builds the `apply` of a network whose input holds a one-hot, at a cost that does not grow with the one-hot.
 
-    All that a one-hot does is to add a row of the first layer's weights, which is added to the bias here.
+    In the first layer a one-hot selects a row of the weights, which is added to the bias here.
 
     Args:
       rest: the network without the one-hot.
       start: the place of the one-hot in the input.
-      size: its size.
+      size: its size. Zeros in its place would count as the first task.
     """
     end = start + size
 

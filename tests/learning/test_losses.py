@@ -100,10 +100,11 @@ def test_a_row_of_weights_stands_for_the_one_hot_of_many_tasks(network, monkeypa
     monkeypatch.setattr(critics, "FEW", 2)
     tasks, code, items = 3, 2, 6
     multiplied, by_row = (task_critic(4, 1, tasks + code, Config("bandit", network=network), n) for n in (0, tasks))
-    keys = jax.random.split(jax.random.key(0), 4)
-    params = jax.jit(jax.vmap(multiplied.init))(keys[:2])
-    obs, action = jax.random.normal(keys[2], (items, 4)), jnp.linspace(-1, 1, items)[:, None]
-    task = jnp.hstack([jnp.eye(tasks)[jnp.array([0, 2, 1, 1, 0, 2])], jax.random.normal(keys[3], (items, code))])
+    shapes = jax.eval_shape(jax.vmap(multiplied.init), jax.eval_shape(lambda: jax.random.split(jax.random.key(0))))
+    dice = np.random.default_rng(0)
+    params = jax.tree.map(lambda leaf: dice.normal(size=leaf.shape).astype(np.float32), shapes)
+    obs, action, codes = (dice.normal(size=(items, size)).astype(np.float32) for size in (4, 1, code))
+    task = np.hstack([np.eye(tasks, dtype=np.float32)[[0, 2, 1, 1, 0, 2]], codes])
 
     def loss(critic, params, action, task):
         return jnp.sum(losses.predictions(params, critic, obs, action, task) ** 2)
