@@ -56,7 +56,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "task-hidden": {"network": {"task_layers": 1}},
     "wide": {"network": {"width": 512, "matmul": "bfloat16"}},
     "gathered": {"network": {"lte_start": "gathered"}},
-    # An update costs twice as much, so a run has half as many.
+    # An update takes three times as long on a CPU, so a run has half as many.
     "categorical": {
         "epochs": 190,
         "network": {"critic_blocks": 2, "critic_bins": 101, "critic_task": "both"},
