@@ -53,8 +53,19 @@ def score_table(runs: Sequence[Run]) -> np.ndarray:
 
 
 def successes(runs: Sequence[Run], measure: str) -> Count | None:
-    """Counts the pairs of neighbours that succeed at `mid_task` or `one_to_one`; None if no run was interpolated."""
-    return _counted({run.seed: [pair[measure] for pair in run.of_seed("interpolation", "pairs")] for run in runs})
+    """Counts the pairs of neighbours that succeed at `fresh`, `mid_task` or `one_to_one`; None if no run tells."""
+
+    def succeeded(run: Run) -> list[bool]:
+        return [pair[measure] for pair in run.of_seed("interpolation", "pairs") if measure in pair]
+
+    return _counted({run.seed: succeeded(run) for run in runs})
+
+
+def fresh_error(family: str, runs: Sequence[Run]) -> float | None:
+    """Returns the mean distance from the value midway in fresh episodes of the blend found; None if no run tells."""
+    pairs = [pair for run in runs for pair in run.of_seed("interpolation", "pairs") if "fresh_outcome" in pair]
+    misses = [abs(difference(family, pair["fresh_outcome"], pair["target"])) for pair in pairs]
+    return float(np.mean(misses)) if misses else None
 
 
 def failed_tasks(runs: Sequence[Run]) -> Count | None:
@@ -121,10 +132,10 @@ def paper_return(family: str, agent: str) -> dict[str, float] | None:
 
 def paper_counts(family: str, measure: str) -> dict[str, int] | None:
     """Returns success of interpolation in table 5, `mid_task` or `one_to_one`; None if the paper has none."""
-    table = numbers()["table-5"]
-    if family not in table["columns"]:
+    table, told = numbers()["table-5"], ("mid_task", "one_to_one")
+    if family not in table["columns"] or measure not in told:
         return None
-    row = table["panels"][""][("mid_task", "one_to_one").index(measure)]
+    row = table["panels"][""][told.index(measure)]
     return row[table["columns"].index(family)]
 
 

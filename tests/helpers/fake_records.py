@@ -45,7 +45,7 @@ def add(directory: Path, name: str, **document: Any) -> None:
 
 
 def add_pairs(directory: Path, seed: int, successes: int) -> None:
-    """Adds nine pairs: `successes` meet the value midway, and one fewer lies between at β = ½."""
+    """Adds nine pairs: `successes` meet the value midway, one fewer again and between at β = ½."""
     pairs = [
         {
             "seed": seed,
@@ -54,6 +54,8 @@ def add_pairs(directory: Path, seed: int, successes: int) -> None:
             "beta": 0.4,
             "outcome": one + 0.51,
             "mid_task": index < successes,
+            "fresh": index < successes - 1,
+            "fresh_outcome": one + 0.52,
             "one_to_one": index < successes - 1,
             "one_to_one_outcome": one + 0.6 + 0.1 * seed,
         }
