@@ -17,6 +17,7 @@ from ear_jax.process.terminal import phase, say
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ear_jax.embeddings.trajectory import Trajectory
     from ear_jax.runs.trained import Trained
 
 
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 class FollowCommand(OnRun):
     """Follow a profile over time, or way-points on the floor, by task embeddings (LTEs) that change with time.
 
-    A spline on the sphere is searched for; the plain look-up from a survey of the sphere stands beside it.
+    For a profile a spline on the sphere is searched for; way-points are met by pursuit, which chooses the LTE from
+    where the robot is. Beside either stands the plain look-up from a survey of the sphere.
 
     Example: ear follow pretrained:halfcheetah-vel --profile "0:1, 3:6, 6:2"
     """
@@ -34,9 +36,9 @@ class FollowCommand(OnRun):
     path: Annotated[str | None, option("X Y,...")] = None
     """Way-points in metres from the start, as in "6 0, 6 6, 0 6, 0 0"."""
     every: float = 0.5
-    """Seconds between the knots of the spline."""
+    """Seconds between the knots of a profile's spline."""
     epochs: int = 10
-    """Epochs of the search."""
+    """Epochs of the search for the spline."""
     candidates: int = 32
     """Splines tried in each epoch."""
     sigma: float = 0.2
@@ -63,14 +65,15 @@ def main(words: list[str]) -> None:
         survey, env_steps = find_survey(trained, PLACES, 0)
     course = course_of(trained.program.family, command.profile, command.path, survey)
     plan = Plan(command.every, command.epochs, command.candidates, command.sigma, command.starts)
-    with phase(f"searching in {command.epochs} epochs of {command.candidates} splines"):
-        document = follow_course(trained, survey, course, plan, command.episodes, command.seed)
+    search = f"searching in {command.epochs} epochs of {command.candidates} splines"
+    with phase("meeting way-points" if course.is_path else search):
+        document, trajectories = follow_course(trained, survey, course, plan, command.episodes, command.seed)
     document["survey_env_steps"] = env_steps
     label = label_of(command)
     kept = partial(keep, trained.directory, "following", label, document, draw_follow)
     show_and_keep(document, command.json, _print, kept)
     try:
-        files = _show(command, trained, document, label)
+        files = _show(command, trained, document, trajectories, label)
     except RunError as error:
         say(f"warning: {error}")
     else:
@@ -90,34 +93,38 @@ def _check(command: FollowCommand) -> None:
             raise UsageError(f"--{name} {getattr(command, name):g} is too small; it must be above 0")
 
 
-def _show(command: FollowCommand, trained: Trained, document: dict[str, Any], label: str) -> list[Path]:
+def _show(
+    command: FollowCommand, trained: Trained, document: dict[str, Any], trajectories: dict[str, Trajectory], label: str
+) -> list[Path]:
     """Draws the strip, and films the first seed's robot under both ways; returns the paths."""
-    import jax
-    import jax.numpy as jnp
+    from ear_jax.cli.shots import draw
 
-    from ear_jax.cli.shots import Shot, draw
-    from ear_jax.embeddings.trajectory import follow
-    from ear_jax.runs.trained import policy_of
-
-    ways = document["seeds"][0]["ways"]
-    codes = jnp.array([way["ltes"] for way in ways.values()])
-    program = trained.program
-    trajectories = follow(program, policy_of(trained, 0), codes, codes.shape[1], jax.random.key(command.seed))
-    shots = [Shot(name, code[-1]) for name, code in zip(ways, codes, strict=True)]
-    name = f"following{label}"
-    return list(draw(trained.directory, name, program.family, shots, trajectories, command.film).values())
+    names, shown = list(trajectories), list(trajectories.values())
+    said = [f"{way['errors'][0]:.2f} {document['unit']} off" for way in document["seeds"][0]["ways"].values()]
+    name, family = f"following{label}", trained.program.family
+    return list(draw(trained.directory, name, family, names, shown, command.film, said).values())
 
 
 def _print(document: dict[str, Any]) -> None:
     """Prints the error and the smoothness of both ways, and the costs."""
     unit = document["unit"]
     rows = [
-        (str(entry["seed"]), name, f"{way['error']:.2f}", f"{max(way['errors']):.2f}", f"{way['turn']:.2f}")
+        (str(entry["seed"]), name, *_errors(way), f"{way['turn']:.2f}")
         for entry in document["seeds"]
         for name, way in entry["ways"].items()
     ]
-    print_table(("seed", "way", f"error {unit}>", f"worst {unit}>", "turn rad/s>"), rows)
-    meaning = "largest distance from a way-point" if document["is_path"] else "root mean square after the first second"
-    print(f"error: {meaning}, mean and worst of {document['episodes']} fresh starts; turn: how fast the LTE moves")
-    print(f"the search took {document['env_steps']:,} env steps and {document['seconds']:.1f} s", end="")
+    aside = ("aside m>", "worst m>") if document["is_path"] else ()
+    print_table(("seed", "way", f"error {unit}>", f"worst {unit}>", *aside, "turn rad/s>"), rows)
+    meaning = "root mean square after the first second"
+    if document["is_path"]:
+        meaning = "largest distance from a way-point; aside: from the path"
+    print(f"error: {meaning}; mean and worst of {document['episodes']} fresh starts; turn: how fast the LTE moves")
+    searched = f"the search took {document['env_steps']:,} env steps and" if document["env_steps"] else "this took"
+    print(f"{searched} {document['seconds']:.1f} s", end="")
     print(f", the survey {document['survey_env_steps']:,} env steps" if document["survey_env_steps"] else "")
+
+
+def _errors(way: dict[str, Any]) -> list[str]:
+    """Returns the mean and the worst error of a way, and of a path the mean and the largest distance from it too."""
+    measured = [way[name] for name in ("errors", "aside") if name in way]
+    return [f"{value:.2f}" for values in measured for value in (sum(values) / len(values), max(values))]

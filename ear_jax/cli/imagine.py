@@ -29,8 +29,8 @@ class ImagineCommand(OnRun):
     """Transitions in each of them."""
     cells: int = 256
     """Kinds of outcomes that it tells apart."""
-    discount: float = 0.99
-    """The discount γ of later outcomes: 0.99 looks about 100 steps ahead."""
+    discount: float = 0.95
+    """The discount γ of later outcomes: 0.95 looks about 20 steps ahead. An episode is a chain of such looks."""
 
 
 def main(words: list[str]) -> None:
@@ -69,7 +69,7 @@ def _print(document: dict[str, Any]) -> None:
         for entry in document["seeds"]
         for task in entry["trained"]
     ]
-    print_table(("task", *(f"{name}>" for name in names)), rows, "imagined from the starts of episodes on, discounted:")
+    print_table(("task", *(f"{name}>" for name in names)), rows, "imagined, mean over the second half of an episode:")
     source = "the replay" if document["source"] == "replay" else "episodes under the LTEs of the training tasks, played"
     steps = f" in {document['env_steps']:,} env steps" if document["env_steps"] else ""
     print(

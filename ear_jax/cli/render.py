@@ -56,7 +56,7 @@ def main(words: list[str]) -> None:
         codes = jnp.stack([shot.code for shot in shots])
         trajectories = follow(program, policy, codes, command.steps, jax.random.key(command.seed))
     name = file_name(command, shots) + label_of(command, without=("task", "lte", "interpolate"))
-    files = draw(trained.directory, name, program.family, shots, trajectories, command.film)
+    files = draw(trained.directory, name, program.family, [shot.name for shot in shots], trajectories, command.film)
     if not command.json:
         print_pictures(files.values())
         return

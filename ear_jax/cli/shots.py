@@ -64,11 +64,31 @@ def file_name(command: Any, shots: list[Shot]) -> str:
 
 
 def draw(
-    run: Path, name: str, family: Family, shots: list[Shot], trajectories: list[Trajectory], with_film: bool
+    run: Path,
+    name: str,
+    family: Family,
+    names: list[str],
+    trajectories: list[Trajectory],
+    with_film: bool,
+    said: list[str] | None = None,
 ) -> dict[str, Path]:
-    """Writes the strip and the films; without OpenGL it draws the strip as stick figures and raises RunError."""
+    """Writes the strip and the films; without OpenGL it draws the strip as stick figures and raises RunError.
+
+    Args:
+      run: the directory in whose folders they are written.
+      name: part of the files' names.
+      family: the robot's.
+      names: of the trajectories.
+      trajectories: what the robots did.
+      with_film: False for a strip alone.
+      said: words below each name in the strip; by default what the robot achieved.
+
+    Returns:
+      The paths of `strip`, `gif` and `mp4`.
+    """
     figures = records.folder(run / "figures")
-    labels = [_label(family, *pair) for pair in zip(shots, trajectories, strict=True)]
+    said = said or [f"{one.achieved:z.2f} {family.unit}" for one in trajectories]
+    labels = [_label(*one) for one in zip(names, said, trajectories, strict=True)]
     strip = arrange(family.portrait(), trajectories, labels, family.dt)
     path = figures / f"strip_{name}.png"
     try:
@@ -77,7 +97,7 @@ def draw(
         if not with_film:
             return {"strip": path}
         with phase("filming"):
-            pictures, seconds = film(strip.model, trajectories, [shot.name for shot in shots], family.dt)
+            pictures, seconds = film(strip.model, trajectories, names, family.dt)
     except RunError as error:
         draw_strip(path, strip.panels, strip.bounds, strip.caption, strip.beside)
         raise RunError(f"{error}; {path} shows stick figures instead, and there is no film") from None
@@ -90,6 +110,6 @@ def draw(
     return files
 
 
-def _label(family: Family, shot: Shot, trajectory: Trajectory) -> str:
+def _label(name: str, said: str, trajectory: Trajectory) -> str:
     fell = "\nfell" if trajectory.fell else ""
-    return f"{textwrap.fill(shot.name, 16)}\n{trajectory.achieved:z.2f} {family.unit}{fell}"
+    return f"{textwrap.fill(name, 16)}\n{said}{fell}"

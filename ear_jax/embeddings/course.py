@@ -16,7 +16,8 @@ from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
 
 SETTLING = 1.0  # seconds at the start that the error of a profile leaves out, while the robot gets going
-SLACK = 1.25  # time for a path, as a share of its length at the usual speed
+PACE = 0.7  # of the usual speed, along a path: a robot at full speed turns wide
+SLACK = 2.0  # time for a path, in the time that its length takes at that pace
 LONGEST = 60.0  # seconds
 
 
@@ -26,17 +27,23 @@ class Course:
 
     outcomes: tuple[str, ...]  # the commanded outcome, or the two of the velocity on the floor
     unit: str  # of the error
-    times: np.ndarray  # [points] seconds; of a path, when it would get there at the usual speed
+    times: np.ndarray  # [points] seconds; of a path, when it would get there at its speed
     points: np.ndarray  # [points, 1] values, or [points, 2] metres from the start on
     wanted: np.ndarray  # [steps, 1] values, or [steps, 2] the velocity on the way
     is_path: bool
 
-    def error(self, outcome: Outcome, playing: jax.Array, dt: float) -> tuple[jax.Array, jax.Array]:
-        """Returns the error of one roll-out, a scalar, and its cost in a search.
+    @property
+    def ends(self) -> np.ndarray:
+        """The start and the way-points of a path, [points + 1, 2] metres."""
+        return np.concatenate([np.zeros((1, 2)), self.points])
 
-        The error of a profile is the root mean square from `SETTLING` on; that of a path, the largest distance from a
-        way-point. Way-points count in their order, each when the robot is nearest. The cost adds the first second, or
-        the squared distance from the straight lines between way-points.
+    def error(self, outcome: Outcome, playing: jax.Array, dt: float) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Returns the error of one roll-out, its cost, and the number of steps until it has followed the course.
+
+        The error of a profile is the root mean square from `SETTLING` on, and its cost adds the first second. The error
+        of a path is the largest distance from a way-point: way-points count in their order, each when the robot is
+        nearest. Its cost is the largest distance from the straight lines between them, up to the last way-point, where
+        it ends.
 
         Args:
           outcome: by name, each [steps].
@@ -46,13 +53,19 @@ class Course:
         followed = jnp.stack([jnp.where(playing, outcome[name], 0.0) for name in self.outcomes], axis=-1)
         if self.is_path:
             places = jnp.cumsum(followed, axis=0) * dt
-            misses = self._misses(places)
-            return jnp.sqrt(misses.max()), misses.mean() + 0.5 * misses.max() + 0.5 * jnp.mean(self._aside(places))
+            misses, moments = self._misses(places)
+            aside = jnp.where(jnp.arange(len(places)) <= moments[-1], self._aside(places), 0.0)
+            return jnp.sqrt(misses.max()), jnp.sqrt(aside.max()), moments[-1] + 1
         squared = jnp.sum((followed - self.wanted) ** 2, axis=-1)
-        return jnp.sqrt(jnp.mean(squared[round(SETTLING / dt) :])), jnp.mean(squared)
+        return jnp.sqrt(jnp.mean(squared[round(SETTLING / dt) :])), jnp.mean(squared), jnp.int32(len(squared))
 
-    def _misses(self, places: jax.Array) -> jax.Array:
-        """Returns the squared distance [points] of each way-point from the robot's places [steps, 2].
+    @property
+    def speed(self) -> float:
+        """Speed on a path in m/s."""
+        return float(np.linalg.norm(self.wanted[0]))
+
+    def _misses(self, places: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Returns the squared distance [points] of each way-point from the robot's places [steps, 2], and the step.
 
         The moments at which it is there are in the order of the way-points, and such that the sum is least.
         """
@@ -64,18 +77,17 @@ class Course:
 
         sums = jax.lax.scan(reach, jnp.zeros(len(places)), apart)[1]  # least sum up to a way-point met at a step
 
-        def trace(last: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        def trace(last: jax.Array, row: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             total, here = row
             moment = jnp.argmin(jnp.where(jnp.arange(len(total)) <= last, total, jnp.inf))
-            return moment, here[moment]
+            return moment, (here[moment], moment)
 
         return jax.lax.scan(trace, jnp.array(len(places)), (sums, apart), reverse=True)[1]
 
     def _aside(self, places: jax.Array) -> jax.Array:
         """Returns the squared distance of places [steps, 2] from the lines between way-points, [steps]."""
-        ends = jnp.concatenate([jnp.zeros((1, 2)), jnp.asarray(self.points)])
-        begin, along = ends[:-1], ends[1:] - ends[:-1]
-        share = jnp.sum((places[:, None] - begin) * along, -1) / jnp.maximum(jnp.sum(along**2, -1), 1e-9)
+        begin, along = self.ends[:-1], np.diff(self.ends, axis=0)
+        share = jnp.sum((places[:, None] - begin) * along, -1) / (along**2).sum(axis=-1)
         nearest = begin + jnp.clip(share, 0, 1)[..., None] * along
         return jnp.sum((places[:, None] - nearest) ** 2, axis=-1).min(axis=1)
 
@@ -83,8 +95,8 @@ class Course:
 def course_of(family: Family, profile: str | None, path: str | None, survey: Survey | None = None) -> Course:
     """Returns the course of a profile or else of a path.
 
-    The usual speed on a path is the median of a survey's, under LTEs whose episodes last; without a survey it is 1 m/s,
-    and a path of any length is a course.
+    The speed on a path is `PACE` of the usual one, the median of a survey's under LTEs whose episodes last; without a
+    survey it is 1 m/s, and a path of any length is a course.
 
     Raises:
       UsageError: as `profile_course` and `path_course`.
@@ -94,7 +106,7 @@ def course_of(family: Family, profile: str | None, path: str | None, survey: Sur
     speed = None
     if survey and family.plane:
         late = [survey.outcomes[name][..., survey.steps // 2 :].mean(axis=-1) for name in family.plane]
-        speed = float(np.median(np.hypot(*late)[survey.lengths == survey.steps]))
+        speed = PACE * float(np.median(np.hypot(*late)[survey.lengths == survey.steps]))
     return path_course(family, path or "", speed)
 
 
@@ -116,8 +128,8 @@ def profile_course(family: Family, text: str) -> Course:
     return Course((family.commanded,), family.unit, times, values[:, None], wanted, False)
 
 
-def path_course(family: Family, text: str, usual_speed: float | None) -> Course:
-    """Returns the course of way-points such as `6 0, 6 6, 0 6, 0 0`, in metres from the start, at a usual speed in m/s.
+def path_course(family: Family, text: str, at_speed: float | None) -> Course:
+    """Returns the course of way-points such as `6 0, 6 6, 0 6, 0 0`, in metres from the start, at a speed in m/s.
 
     Raises:
       UsageError: they are no way-points, or the robot does not roam on the floor.
@@ -129,9 +141,9 @@ def path_course(family: Family, text: str, usual_speed: float | None) -> Course:
     lengths = np.linalg.norm(np.diff(ends, axis=0), axis=1)
     if not (lengths > 0).all():
         raise UsageError(f"--path {text!r} names a point twice in a row, or begins with the start, 0 0")
-    speed = usual_speed or 1.0
+    speed = at_speed or 1.0
     times = np.cumsum(lengths) / speed
-    if usual_speed:
+    if at_speed:
         _check_length(SLACK * times[-1], "--path")
     moments = family.dt * np.arange(1, round(SLACK * times[-1] / family.dt) + 1)
     row = np.minimum(np.searchsorted(times, moments), len(points) - 1)

@@ -1,9 +1,14 @@
-"""LTEs that change with time, so that the robot follows a course: a spline on the sphere, found by a search."""
+"""LTEs that change with time, so that the robot follows a course: along a searched spline, or chosen on the way.
+
+A profile is followed along a spline on the sphere, which the cross-entropy method finds; way-points, by pursuit. Beside
+either stands the plain look-up. One compiled roll-out serves the search, the fresh starts and the film.
+"""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -11,25 +16,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ear_jax.agents import Agent
 from ear_jax.agents.networks import Params
 from ear_jax.embeddings.codes import spread_codes
 from ear_jax.embeddings.course import Course
+from ear_jax.embeddings.pursuit import HEADINGS, Pursuit
 from ear_jax.embeddings.smooth import smooth_best
 from ear_jax.embeddings.survey import Survey
-from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
+from ear_jax.embeddings.trajectory import PoseEnv, Trajectory, outcome_and_over, until_over
 from ear_jax.learning.rollout import act_along, first_episode, rollout
+from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
-from ear_jax.runs.trained import Trained, for_each_seed
+from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
 
 CHOICES = 4000  # codes that a look-up chooses from
 NEAR = 0.02  # of the range of what is followed: a look-up gives up so much for an LTE one radian nearer to the last
 ELITES = 8  # plans that the next epoch is drawn around
 LEAST = 0.01  # standard deviation of a plan's coordinates below which it does not fall
+MEASURES = ("errors", "costs", "ends")  # of a course
 
-
-Searched = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # mean and deviation of knots, best knots, their cost
+Play = Callable[[np.ndarray, np.ndarray], dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -43,15 +49,15 @@ class Plan:
     starts: int = 1  # random starts that each plan is played from
 
 
-def spline(agent: Agent, knots: jax.Array, steps: int) -> jax.Array:
-    """Returns the codes [steps, code] of a spline through knots [knots, code], evenly spaced in time.
+def spline(knots: np.ndarray, steps: int) -> np.ndarray:
+    """Returns the codes [..., steps, code] of splines through knots [..., knots, code], evenly spaced in time.
 
     Between two knots they are the normalised sums of both.
     """
-    moments = jnp.linspace(0, len(knots) - 1, steps)
-    row = jnp.minimum(moments.astype(int), len(knots) - 2)
+    moments = np.linspace(0, knots.shape[-2] - 1, steps)
+    row = np.minimum(moments.astype(int), knots.shape[-2] - 2)
     share = (moments - row)[:, None]
-    return jax.vmap(agent.project)((1 - share) * knots[row] + share * knots[row + 1])
+    return _on_sphere((1 - share) * knots[..., row, :] + share * knots[..., row + 1, :])
 
 
 def look_up(survey: Survey, index: int, course: Course, steps: int) -> np.ndarray:
@@ -77,131 +83,168 @@ def look_up(survey: Survey, index: int, course: Course, steps: int) -> np.ndarra
 
 def follow_course(
     trained: Trained, survey: Survey, course: Course, plan: Plan, episodes: int, seed: int
-) -> dict[str, Any]:
-    """Finds for every seed's policy a spline that follows a course, beside the plain look-up.
-
-    The search is the cross-entropy method over all knots at once, in one compiled call. It begins at the look-up.
+) -> tuple[dict[str, Any], dict[str, Trajectory]]:
+    """Follows a course with every seed's policy, beside the plain look-up.
 
     Args:
       trained: the run.
       survey: a survey of its sphere.
       course: what is to be followed.
-      plan: settings of the search.
+      plan: settings of the search for a profile's spline, which begins at the look-up.
       episodes: fresh starts from which both are played.
       seed: seeds everything.
 
     Returns:
-      The document that `ear follow --json` prints.
+      The document that `ear follow --json` prints; and what the first seed's robot did from the first of these starts,
+      by the name of the way.
 
     Raises:
       RunError: the roll-outs do not fit in memory.
     """
     began = time.perf_counter()
-    program, steps = trained.program, len(course.wanted)
-    check_rollouts(program, program.config.seeds * max(plan.candidates * plan.starts, 2 * episodes), steps)
-    looked_up = np.stack([look_up(survey, index, course, steps) for index in range(program.config.seeds)])
-    count = max(2, round(steps * program.family.dt / plan.every) + 1)
-    begin = looked_up[:, np.linspace(0, steps - 1, count).astype(int)]
+    program, steps, seeds = trained.program, len(course.wanted), range(trained.program.config.seeds)
+    width = max(2 * episodes, 0 if course.is_path else plan.candidates * plan.starts)
+    check_rollouts(program, len(seeds) * width, steps + 1, program.family.model.nq)
+    looked_up = np.stack([look_up(survey, index, course, steps) for index in seeds])
+    play = _player(trained, survey, course, width, plan.starts + episodes, seed)
 
-    def of_seed(policy: Params, key: jax.Array, begin: jax.Array, looked_up: jax.Array) -> dict[str, Any]:
-        key_search, key_fresh = jax.random.split(key)
-        knots, costs = search_spline(program, policy, begin, course, plan, key_search)
-        codes = jnp.stack([looked_up, spline(program.agent, knots, steps)])
-        played = _play(program, policy, codes, _starts(program, key_fresh, episodes), course)
-        return {"knots": knots, "codes": codes, "costs": costs, **played}
+    if course.is_path:
+        names, codes, about = ("look-up", "pursuit"), np.stack([looked_up, looked_up], axis=1), {}
+    else:
+        count = max(2, round(steps * program.family.dt / plan.every) + 1)
+        begin = looked_up[:, np.linspace(0, steps - 1, count).astype(int)]
+        knots, costs = search_spline(play, begin, steps, plan, seed)
+        names, codes = ("look-up", "spline"), np.stack([looked_up, spline(knots, steps)], axis=1)
+        about = {"knots": knots, "costs": costs}
+    played = play(codes, plan.starts + np.arange(episodes))
+    document = {**_describe(trained, course, names, played, about), "episodes": episodes}
+    document["env_steps"] = len(seeds) * plan.epochs * plan.candidates * plan.starts * steps if about else 0
+    document["seconds"] = round(time.perf_counter() - began, 2)
+    return document, {name: _trajectory(program, played, row) for row, name in enumerate(names)}
 
-    found = for_each_seed(trained, of_seed, seed, begin, looked_up)
-    searched = program.config.seeds * plan.epochs * plan.candidates * plan.starts * steps
-    seconds = round(time.perf_counter() - began, 2)
-    return {**_describe(trained, course, found), "env_steps": searched, "seconds": seconds, "episodes": episodes}
 
-
-def search_spline(
-    program: Program, policy: Params, begin: jax.Array, course: Course, plan: Plan, key: jax.Array
-) -> tuple[jax.Array, jax.Array]:
-    """Searches for the knots of the spline of least cost.
+def search_spline(play: Play, begin: np.ndarray, steps: int, plan: Plan, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Searches by the cross-entropy method for the knots of the spline of least cost, over all knots at once.
 
     Args:
-      program, policy: one seed's trained policy.
-      begin: knots to begin at [knots, code].
-      course: what is to be followed.
+      play: plays codes from starts, as `_player` makes it.
+      begin: knots to begin at [seeds, knots, code].
+      steps: of the course.
       plan: the settings.
-      key: seeds everything.
+      seed: seeds the candidates.
 
     Returns:
-      The best knots [knots, code], and the least cost of each epoch, mean over its starts.
+      The best knots [seeds, knots, code], and the least cost of each epoch [seeds, epochs], mean over its starts.
     """
-    steps, project = len(course.wanted), jax.vmap(program.agent.project)
-    key_starts, key_epochs = jax.random.split(key)
-    starts = _starts(program, key_starts, plan.starts)
-
-    def epoch(state: Searched, key: jax.Array) -> tuple[Searched, jax.Array]:
-        mean, deviation, best, least = state
-        noise = jax.random.normal(key, (plan.candidates - 1, *mean.shape))
-        drawn = jnp.concatenate([mean[None], mean + deviation * noise])
-        knots = jax.vmap(project)(drawn)
-        codes = jax.vmap(partial(spline, program.agent, steps=steps))(knots)
-        costs = _play(program, policy, codes, starts, course)["costs_of_starts"].mean(axis=-1)
-        order = jnp.argsort(jnp.where(jnp.isfinite(costs), costs, jnp.inf))[:ELITES]
-        elites, lowest = knots[order], costs[order[0]]
-        best = jnp.where(lowest < least, elites[0], best)
-        state = project(elites.mean(axis=0)), jnp.maximum(elites.std(axis=0), LEAST), best, jnp.minimum(lowest, least)
-        return state, lowest
-
-    begun = begin, jnp.full(begin.shape, plan.sigma), begin, jnp.float32(jnp.inf)
-    (_, _, best, _), costs = jax.lax.scan(epoch, begun, jax.random.split(key_epochs, plan.epochs))
-    return best, costs
+    rng = np.random.default_rng(seed)
+    mean, deviation, best = begin, np.full(begin.shape, plan.sigma), begin
+    least, curve = np.full(len(begin), np.inf), []
+    for _ in range(plan.epochs):
+        noise = rng.standard_normal((len(begin), plan.candidates - 1, *begin.shape[1:]))
+        knots = _on_sphere(np.concatenate([mean[:, None], mean[:, None] + deviation[:, None] * noise], axis=1))
+        costs = play(spline(knots, steps), np.arange(plan.starts))["costs"].mean(axis=-1)  # [seeds, candidates]
+        order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), axis=1)[:, :ELITES]
+        elites = np.take_along_axis(knots, order[..., None, None], axis=1)
+        lowest = np.take_along_axis(costs, order[:, :1], axis=1)[:, 0]
+        best = np.where((lowest < least)[:, None, None], elites[:, 0], best)
+        least = np.minimum(least, lowest)
+        mean, deviation = _on_sphere(elites.mean(axis=1)), np.maximum(elites.std(axis=1), LEAST)
+        curve.append(lowest)
+    return best, np.stack(curve, axis=1)
 
 
-def _starts(program: Program, key: jax.Array, count: int) -> EnvState:
-    """Draws starts, each leaf [1, count, …]."""
-    task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
-    return BatchedEnv(program.family).start(key, task, count)
+def _on_sphere(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
 
 
-def _play(program: Program, policy: Params, codes: jax.Array, starts: EnvState, course: Course) -> dict[str, jax.Array]:
-    """Plays codes [rows, steps, code] from the same starts; returns errors, costs and what was followed, by name."""
-    family, rows, count = program.family, len(codes), starts.steps.shape[1]
-    begun = jax.tree.map(lambda leaf: jnp.repeat(leaf, rows, axis=0), starts)
-    of_steps = jnp.broadcast_to(jnp.swapaxes(codes, 0, 1)[:, :, None], (codes.shape[1], rows, count, codes.shape[2]))
+def _player(trained: Trained, survey: Survey, course: Course, width: int, starts: int, seed: int) -> Play:
+    """Returns what plays codes [seeds, ways, steps, code] from some of the starts, given by their numbers [count].
 
-    def record(step: Transition) -> tuple[dict[str, jax.Array], jax.Array]:
-        return {name: step.outcome[name] for name in course.outcomes}, step.terminated | ~step.valid
+    It is compiled once, for `width` robots: those beyond ways · count are idle. On a path, the later half of the ways
+    is by pursuit. The result has the course's `errors`, `costs` and `ends` [seeds, ways, count]; and for each step and
+    robot, `outcome` with pose and code, and whether the episode is `over` [seeds, steps + 1, robots].
+    """
+    program, family = trained.program, trained.program.family
+    seeds, steps = program.config.seeds, len(course.wanted)
+    rings = np.stack([ring_of(survey, index, course) for index in range(seeds)]) if course.is_path else np.zeros(seeds)
+    env, task = PoseEnv(family, resets=False), jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
+    keys = jax.random.split(jax.random.key(seed), seeds)
 
-    env, act = BatchedEnv(family, resets=False), act_along(program.agent, policy)
-    _, (outcome, over) = rollout(env, act, begun, of_steps, record)
-    playing = first_episode(over) & ~over
-    over_all = jax.vmap(jax.vmap(partial(course.error, dt=family.dt), in_axes=1), in_axes=1)  # rows, then starts
-    errors, costs = over_all(outcome, playing)
-    followed = jnp.stack([jnp.where(playing, outcome[name], 0.0) for name in course.outcomes], axis=-1)
-    return {"errors": errors, "costs_of_starts": costs, "followed": followed[:, :, 0], "lasted": playing[-1].mean(-1)}
+    def of_seed(policy: Params, key: jax.Array, ring: jax.Array, codes: jax.Array, index: jax.Array) -> dict[str, Any]:
+        begun = jax.tree.map(lambda leaf: leaf[:, index], env.start(key, task, starts))
+        roll = Pursuit(program.agent, course, ring, family.dt).rollout if course.is_path else rollout
+        along = jnp.swapaxes(codes, 0, 1)[:, None]  # [steps + 1, 1, robots, code]
+        _, recorded = roll(env, act_along(program.agent, policy), begun, along, outcome_and_over)
+        outcome, over = jax.tree.map(lambda leaf: leaf[:, 0], recorded)
+        playing = (first_episode(over) & ~over)[:steps]
+        of_steps = {name: outcome[name][:steps] for name in course.outcomes}
+        measured = jax.vmap(partial(course.error, dt=family.dt), in_axes=1)(of_steps, playing)
+        of_course = dict(zip(MEASURES, measured, strict=True))
+        return {**of_course, "outcome": {"code": along[:, 0], **outcome}, "over": over}
+
+    of_all = jax.jit(jax.vmap(of_seed, in_axes=(0, 0, 0, 0, None)), compiler_options=compiler_options())
+
+    def play(codes: np.ndarray, index: np.ndarray) -> dict[str, Any]:
+        ways, count = codes.shape[1], len(index)
+        robots = np.arange(width) % (ways * count)
+        along = np.concatenate([codes, codes[:, :, -1:]], axis=2)[:, robots // count]  # one more, for the last pose
+        played = jax.device_get(of_all(trained.policies, keys, rings, along.astype(np.float32), index[robots % count]))
+        used = {name: played[name][:, : ways * count].reshape(-1, ways, count) for name in MEASURES}
+        return {**played, **used}
+
+    return play
 
 
-def _describe(trained: Trained, course: Course, found: dict[str, Any]) -> dict[str, Any]:
+def ring_of(survey: Survey, index: int, course: Course) -> np.ndarray:
+    """Returns codes [headings, code] that run in directions evenly spaced, at the speed of a path."""
+    angles = 2 * np.pi * np.arange(HEADINGS) / HEADINGS
+    wanted = course.speed * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return look_up(survey, index, replace(course, wanted=wanted), HEADINGS)
+
+
+def _trajectory(program: Program, played: dict[str, Any], row: int) -> Trajectory:
+    """Returns what the first seed's robot did in one way from the first start, until it had followed the course."""
+    robot, shown = row * played["errors"].shape[2], slice(played["ends"][0, row, 0] + 1)
+    names = ("qpos", *program.family.outcome_shapes)
+    outcomes = {name: played["outcome"][name][0, shown, robot] for name in names}
+    return until_over(program, outcomes, played["over"][0, shown, robot])
+
+
+def _describe(
+    trained: Trained,
+    course: Course,
+    names: tuple[str, ...],
+    played: dict[str, Any],
+    about: dict[str, np.ndarray],
+) -> dict[str, Any]:
     """Describes the answers of both ways: errors from fresh starts, smoothness, and the course of the first start."""
     program = trained.program
-    dt = program.family.dt
+    dt, steps, episodes = program.family.dt, len(course.wanted), played["errors"].shape[2]
 
     def way(index: int, row: int) -> dict[str, Any]:
-        codes, errors = found["codes"][index, row], found["errors"][index, row]
-        followed = found["followed"][index, :, row]
-        way = np.cumsum(followed, axis=0) * dt if course.is_path else followed
+        errors, over = played["errors"][index, row], played["over"][index, :steps]
+        lasted = ~over[:, row * episodes : (row + 1) * episodes].any(axis=0)
+        end = played["ends"][index, row, 0]
+        codes, *columns = (played["outcome"][name][index, :end, row * episodes] for name in ("code", *course.outcomes))
+        playing = np.cumsum(over[:end, row * episodes]) == 0
+        followed = np.where(playing[:, None], np.stack(columns, axis=-1), 0.0)
         turns = np.arccos(np.clip((codes[1:] * codes[:-1]).sum(axis=-1), -1, 1))
+        beside = {"aside": np.round(played["costs"][index, row], 4).tolist()} if course.is_path else {}
         return {
             "error": round(float(errors.mean()), 4),
             "errors": np.round(errors, 4).tolist(),
-            "lasted": float(found["lasted"][index, row]),
+            **beside,
+            "lasted": float(lasted.mean()),
             "turn": round(float(turns.mean() / dt), 4),
-            "followed": np.round(way, 3).tolist(),
+            "followed": np.round(np.cumsum(followed, axis=0) * dt if course.is_path else followed, 3).tolist(),
             "ltes": np.round(codes, 5).tolist(),
         }
 
     seeds = [
         {
             "seed": program.config.seed + index,
-            "costs": np.round(found["costs"][index], 5).tolist(),
-            "knots": found["knots"][index].tolist(),
-            "ways": {"look-up": way(index, 0), "spline": way(index, 1)},
+            **{name: np.round(value[index], 5).tolist() for name, value in about.items()},
+            "ways": {name: way(index, row) for row, name in enumerate(names)},
         }
         for index in range(program.config.seeds)
     ]

@@ -22,7 +22,7 @@ from ear_jax.envs.asked import Reward, score_outcomes
 from ear_jax.envs.batched_env import BatchedEnv
 from ear_jax.errors import RunError
 from ear_jax.learning import replay as rings
-from ear_jax.learning.measure import MeasureConfig, learn_measure, make_measure, partition
+from ear_jax.learning.measure import MeasureConfig, late_in_episode, learn_measure, make_measure, partition
 from ear_jax.learning.replay import Experience, Replay
 from ear_jax.learning.rollout import act_with, rollout
 from ear_jax.process.terminal import say
@@ -31,9 +31,10 @@ from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
 
 FILE = "imagined.safetensors"
-FORMAT = "ear_jax imagined sphere 1"
+FORMAT = "ear_jax imagined sphere 2"
 PLACES = 4000  # LTEs imagined, 0.06 radians apart on a sphere in three dimensions
-STARTS = 64  # over which the distribution under an LTE is averaged
+STARTS = 64  # of episodes, over which the distribution under an LTE is averaged
+STATES = 512  # of the replay, from which an episode goes on
 EPISODES = 120  # played under the training tasks' LTEs, of all tasks together, where there is no replay
 MOST = 100_000  # transitions learnt from, drawn at random from larger replays
 CURVE = 60  # points of the loss that the document keeps
@@ -44,7 +45,7 @@ class Imagined:
     """Distributions of outcomes under LTEs [places, code] spread over the sphere, for every seed's policy."""
 
     codes: np.ndarray  # [places, code]
-    masses: np.ndarray  # [seeds, places, cells], without what comes after a failure
+    masses: np.ndarray  # [seeds, places, cells], as shares of the steps in an episode's second half
     outcomes: dict[str, np.ndarray]  # of the transitions learnt from, by name [seeds, transitions]
     cell: np.ndarray  # int32 [seeds, transitions], the cell of each
 
@@ -85,17 +86,21 @@ def imagine(trained: Trained, config: MeasureConfig, seed: int) -> dict[str, Any
     codes = spread_codes(PLACES, program.agent.code_size)
 
     def of_seed(policy: Params, key: jax.Array, items: Experience, cell: jax.Array) -> tuple[jax.Array, ...]:
-        key_learn, key_start = jax.random.split(key)
+        key_learn, key_start, key_states = jax.random.split(key, 3)
         params, losses = learn_measure(measure, policy, items, cell, key_learn)
         task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
-        obs = BatchedEnv(program.family).start(key_start, task, STARTS).state.obs[0]
+        starts = BatchedEnv(program.family).start(key_start, task, STARTS).state.obs[0]
+        states = jax.random.categorical(key_states, jnp.where(items.terminated, -jnp.inf, 0.0), shape=(STATES,))
 
         def of_code(code: jax.Array) -> jax.Array:
-            of_starts = jax.vmap(lambda obs: measure.of_start(params, policy, code, obs))
-            return of_starts(obs).mean(axis=0)[:-1]
+            first, later = (
+                jax.vmap(lambda obs: measure.of_start(params, policy, code, obs))(obs)
+                for obs in (starts, items.next_obs[states])
+            )
+            return late_in_episode(measure, first, later, cell[states], program.family.episode_length)
 
         all_codes = jnp.concatenate([jnp.asarray(codes), program.agent.codes(policy)])
-        return jax.lax.map(of_code, all_codes, batch_size=100), losses
+        return jax.lax.map(of_code, all_codes, batch_size=20), losses
 
     masses, losses = for_each_seed(trained, of_seed, seed, items, cell)
     imagined = Imagined(codes, masses[:, : len(codes)], items.outcome, cell)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ear_jax.agents.networks import Params
 from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
-from ear_jax.learning.rollout import act_along, act_with, rollout
+from ear_jax.learning.rollout import act_with, rollout
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.training import Program
@@ -38,11 +38,11 @@ class PoseEnv(BatchedEnv):
 
 
 def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: jax.Array) -> list[Trajectory]:
-    """Plays one episode under each code, or sequence of codes, without exploration and all from the same start.
+    """Plays one episode under each code, without exploration and all from the same start.
 
     Args:
       program, policy: one seed's trained policy.
-      codes: [rows, code]; or [rows, steps, code], if they change with time.
+      codes: [rows, code].
       steps: environment steps; the family's time limit does not apply.
       key: seeds the start.
 
@@ -52,32 +52,35 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
     family, env = program.family, PoseEnv(program.family)
     check_rollouts(program, len(codes), steps + 1, family.model.nq)
     # One more step, for the pose before it. Rewards are not used, so that any task will do.
-    constant = codes.ndim == 2
-    if constant:
-        along = jnp.zeros((steps + 1, len(codes), 1, family.action_size))  # no noise
-    else:
-        along = jnp.swapaxes(codes[:, jnp.minimum(jnp.arange(steps + 1), codes.shape[1] - 1)], 0, 1)[:, :, None]
+    still = jnp.zeros((steps + 1, len(codes), 1, family.action_size))
     task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
 
     def play(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), env.start(key, task, 1))
-        act = act_with(program.agent, policy, codes) if constant else act_along(program.agent, policy)
-        played: tuple[dict[str, jax.Array], jax.Array] = rollout(env, act, env_states, along, _outcome_and_over)[1]
+        act = act_with(program.agent, policy, codes)
+        played: tuple[dict[str, jax.Array], jax.Array] = rollout(env, act, env_states, still, outcome_and_over)[1]
         return played
 
     outcomes, over = jax.device_get(jax.jit(play, compiler_options=compiler_options())(policy, codes, key))
     return [
-        _until_over(program, {name: value[:, row, 0] for name, value in outcomes.items()}, over[:, row, 0])
+        until_over(program, {name: value[:, row, 0] for name, value in outcomes.items()}, over[:, row, 0])
         for row in range(len(codes))
     ]
 
 
-def _outcome_and_over(step: Transition) -> tuple[dict[str, jax.Array], jax.Array]:
+def outcome_and_over(step: Transition) -> tuple[dict[str, jax.Array], jax.Array]:
+    """Selects from steps what `until_over` needs."""
     return step.outcome, step.terminated | ~step.valid
 
 
-def _until_over(program: Program, outcomes: dict[str, np.ndarray], over: np.ndarray) -> Trajectory:
-    """Cuts a row's poses and outcomes at its first failure; `over` [steps + 1] marks the steps that end an episode."""
+def until_over(program: Program, outcomes: dict[str, np.ndarray], over: np.ndarray) -> Trajectory:
+    """Cuts a roll-out's poses and outcomes at its first failure.
+
+    Args:
+      program: its family tells what was achieved.
+      outcomes: by name, each [steps + 1, …], with the poses before the steps as `qpos`.
+      over: bool [steps + 1], which steps end an episode.
+    """
     fell = bool(over[:-1].any())
     last = int(over.argmax()) if fell else len(over) - 1
     qpos = outcomes["qpos"][: last + 1]

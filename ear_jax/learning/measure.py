@@ -7,6 +7,7 @@ outcome at a time that is geometric in γ, from state s and action a on, acting 
 
 and is learnt by the cross-entropy of a target network's right-hand side, as a categorical critic is. The value of a
 reward is its mean over the measure. (Blier et al. 2021, arXiv 2101.07123; Touati and Ollivier 2021, arXiv 2103.07945.)
+A measure looks only 1 / (1 − γ) steps ahead, the fewer the sooner it is learnt. An episode is a chain of such jumps.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class MeasureConfig:
     updates: int = 6000
     batch_size: int = 256
     width: int = 192
-    discount: float = 0.99
+    discount: float = 0.95
     lr: float = 1e-3  # falls to a tenth, linearly
     target_rate: float = 0.05
 
@@ -126,6 +127,33 @@ def learn_measure(
     begun = MeasureState(params, params, optimiser.init(params))
     state, losses = jax.lax.scan(update, begun, jax.random.split(key_updates, config.updates))
     return state.params, losses
+
+
+def late_in_episode(measure: Measure, first: jax.Array, later: jax.Array, cell: jax.Array, steps: int) -> jax.Array:
+    """Returns how often each cell occurs in the second half of an episode under a code, as a share of steps, [cells].
+
+    Each jump begins where the last one came to. Where that is, its cell tells: the states of the replay in which a
+    transition with an outcome of that cell ended. After a failure there are no further outcomes. The first half is left
+    out; with it, the codes that it chose for rewards returned less.
+
+    Args:
+      measure: whose discount tells how long a jump is.
+      first: distributions from starts of episodes [starts, cells + 1].
+      later: distributions from states of the replay [states, cells + 1].
+      cell: the cell of the outcome on the way to each of these, int [states].
+      steps: of the episode.
+    """
+    cells = measure.config.cells
+    member = jax.nn.one_hot(cell, cells)
+    count = member.sum(axis=0)[:, None]
+    jumps = jnp.where(count > 0, member.T @ later / jnp.maximum(count, 1), later.mean(axis=0))[:, :-1]
+
+    def jump(mass: jax.Array, _: None) -> tuple[jax.Array, jax.Array]:
+        return mass @ jumps, mass
+
+    length = max(1, round(steps * (1 - measure.config.discount)))
+    masses: jax.Array = jax.lax.scan(jump, first.mean(axis=0)[:-1], None, length=length)[1]
+    return masses[length // 2 :].mean(axis=0)
 
 
 def draw_codes(agent: Agent, table: jax.Array, key: jax.Array, count: int) -> jax.Array:

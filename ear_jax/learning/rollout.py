@@ -16,6 +16,7 @@ from ear_jax.envs.family import Family, Outcome
 from ear_jax.tasks import TaskParams
 
 Act = Callable[[jax.Array, jax.Array], jax.Array]  # obs, noise → action, each [rows, envs, …]
+Record = Callable[[Transition], Any]  # of a step of all environments: the part to keep
 
 
 def act_with(agent: Agent, policy: Params, codes: jax.Array) -> Act:
@@ -38,7 +39,7 @@ def act_along(agent: Agent, policy: Params) -> Act:
 
 
 def rollout(
-    batched_env: BatchedEnv, act: Act, env_states: EnvState, noise: jax.Array, record: Callable[[Transition], Any]
+    batched_env: BatchedEnv, act: Act, env_states: EnvState, noise: jax.Array, record: Record
 ) -> tuple[EnvState, Any]:
     """Steps a batch of environments once for each step of noise.
 

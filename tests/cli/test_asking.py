@@ -86,3 +86,16 @@ def test_a_profile_is_followed(finished, few, capsys):
         assert all(len(way["followed"]) == len(way["ltes"]) == 40 for way in seed["ways"].values())
     (figure,) = [path for path in document["figures"] if path.endswith("seed0.png")]
     assert "following_profile-0-1-2-3" in figure
+
+
+@pytest.mark.slow
+def test_a_square_of_way_points_is_met_within_a_metre(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    square = "6 0, 6 6, 0 6, 0 0"
+    assert main(["follow", "pretrained:ant-dir", "--path", square, "--episodes", "4", "--no-film", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    (seed,) = document["seeds"]
+    assert list(seed["ways"]) == ["look-up", "pursuit"]
+    assert max(seed["ways"]["pursuit"]["errors"]) < 1 < max(seed["ways"]["look-up"]["errors"])
+    assert len(seed["ways"]["pursuit"]["followed"]) < len(document["wanted"])
+    assert any(path.endswith("seed1.png") for path in document["figures"])

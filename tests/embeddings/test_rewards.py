@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ear_jax.config import Config
 from ear_jax.embeddings import rewards, survey
+from ear_jax.embeddings.imagine import Imagined, best_imagined
 from ear_jax.embeddings.rewards import adapt_to_rewards
 from ear_jax.embeddings.search import Search
 from ear_jax.embeddings.survey import find_survey
 from ear_jax.errors import UsageError
-from ear_jax.learning.measure import partition
+from ear_jax.learning.measure import MeasureConfig, late_in_episode, learn_measure, make_measure, partition
+from ear_jax.learning.replay import Experience
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
 from tests.helpers.obedient import CODES, obedient
@@ -83,6 +86,34 @@ def test_without_a_sphere_a_reward_is_searched_for(toy):
     assert list(task["answers"]) == ["search"]
     with pytest.raises(UsageError, match="has no sphere of LTEs to map"):
         adapt_to_rewards(trained, ["action"], None, 1)
+
+
+@pytest.mark.slow
+def test_a_measure_learns_the_outcomes_of_actions_that_others_took():
+    """Transitions are of random actions; under a code the outcome is for ever its first number."""
+    agent, rng = obedient(CODES), np.random.default_rng(0)
+    action, obs = rng.uniform(-1, 1, (2000, 1)).astype(np.float32), np.ones((2000, 1), np.float32)
+    items = jax.tree.map(jnp.asarray, Experience(obs, action, obs, {"action": action[:, 0]}, np.zeros(2000, bool)))
+    cell = partition(action, 16)
+    measure = make_measure(agent, 1, 1, MeasureConfig(cells=16, updates=1500, batch_size=256, width=32, discount=0.5))
+    params, losses = jax.jit(lambda: learn_measure(measure, jnp.zeros(1), items, jnp.array(cell), jax.random.key(0)))()
+    assert losses[-50:].mean() < losses[:50].mean()
+    codes = np.array([[x, np.sqrt(1 - x**2), 0] for x in (-0.7, 0.0, 0.6)], np.float32)
+    masses = jax.vmap(lambda code: measure.of_start(params, jnp.zeros(1), code, obs[0]))(codes)
+    np.testing.assert_allclose(masses.sum(axis=1), 1, rtol=1e-4)
+    imagined = Imagined(codes, np.asarray(masses)[None, :, :-1], {"action": action.T}, cell[None])
+    np.testing.assert_allclose(imagined.means(action.T)[0], codes[:, 0], atol=0.1)
+    best, predicted = best_imagined(imagined, lambda outcome: -jnp.abs(outcome["action"]), 4)
+    np.testing.assert_allclose(best[0], codes[1])
+    assert predicted[0] == pytest.approx(0, abs=0.6)
+
+
+def test_an_episode_is_a_chain_of_jumps_until_a_failure():
+    """It begins in cell 0, from there goes to cell 1, and from there stays or fails, as often."""
+    measure = make_measure(obedient(CODES), 1, 1, MeasureConfig(cells=2, discount=0.5))
+    first, later = jnp.array([[1.0, 0, 0]]), jnp.array([[0, 1.0, 0], [0, 1.0, 0], [0, 0.5, 0.5]])
+    masses = late_in_episode(measure, first, later, jnp.array([0, 0, 1]), 6)
+    np.testing.assert_allclose(masses, np.mean([[0, 1], [0, 0.5]], axis=0), atol=1e-6)
 
 
 def test_cells_are_of_alike_outcomes():
