@@ -24,7 +24,7 @@ COURSES = (
     (CHEETAH, "profile", "0:3, 2:3, 2.5:5, 5:5, 5.5:1.5, 8:1.5"),
     (ANT, "path", "6 0, 6 6, 0 6, 0 0"),
 )
-EPISODES = {"profile": 5, "path": 20}
+EPISODES = {"profile": 5, "path": 100}
 
 
 def follow(run: str, kind: str, course: str, cache: str, quick: bool) -> tuple[dict[str, Any], float]:

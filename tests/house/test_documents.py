@@ -186,8 +186,9 @@ def said_of_courses() -> list[str]:
         f"after the first second was {spline[0]}, {spline[1]} and {spline[2]} m/s on three profiles",
         f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
         f"The command took {min(seconds):.0f} to {max(seconds):.0f} s on a busy machine",
-        f"passed {max(pursuit['errors']):.1f} m from a way-point at worst, {pursuit['error']:.1f} m on average",
-        f"{max(pursuit['aside']):.1f} m from the path at worst",
+        f"from {sum(error <= 1 for error in pursuit['errors'])} of {len(pursuit['errors'])} fresh starts",
+        f"from the other it missed one by {max(pursuit['errors']):.1f} m",
+        f"it turned wide, up to {max(pursuit['aside']):.1f} m from the path",
         f"missed a way-point by {open_loop:.1f} m by look-up",
         f"by {by_spline:.1f} m along a spline",
     ]
