@@ -16,7 +16,7 @@ from ear_jax import pretrained
 from ear_jax.runs import records
 from experiments.inventory import RECORDS
 from experiments.report import documents, measures, readme
-from experiments.report.formatting import NAMES, number
+from experiments.report.formatting import NAMES, count, number
 from experiments.report.run_index import RunIndex
 from tests.embeddings.test_twenty_rewards import reaches
 from tests.helpers.tolerances import MJX_TOLERANCES
@@ -171,6 +171,46 @@ def said_of_rewards() -> list[str]:
     ]
 
 
+def said_of_half_runs() -> list[str]:
+    """Words of `docs/fast.md` about half runs on a GPU; where a trial stopped short, its updates follow its return."""
+    rows = records.read_rows(common.RESULTS / "recipe.jsonl")
+    curves = {(row["family"], row["trial"]): row["curve"] for row in rows}
+    base, critics = "half as long, two seeds", "… residual categorical critics (BRC), the "
+    wide = "… width 512, batch 1,920, the policy from half, bfloat16"
+
+    def reached(trial: str, family: str = "halfcheetah-vel") -> str:
+        return number(curves[family, trial][-1][3], 0)
+
+    def both(trial: str) -> str:
+        return f"{reached(trial)} | {reached(trial, 'ant-dir')} at {count(curves['ant-dir', trial][-1][0])}"
+
+    return [
+        f"itself ends at {reached(base)} (cheetah)",
+        f"{reached(critics + 'lesser')}, with the mean of the critics {reached(critics + 'mean')}",
+        f"a quarter of it | {reached('… batch 1,920, the policy from a quarter')} |",
+        f"weight decay 0.01 | {both('… weight decay')}",
+        f"outcomes | {both('… predictive φ')}",
+        f"both | {both('… weight decay, predictive φ')}",
+        f"bfloat16 | | {reached(wide, 'ant-dir')} at 76,000",
+        f"in a whole one ({reached('fast, five seeds')})",
+    ]
+
+
+def said_of_a_gpu() -> list[str]:
+    """Words of `docs/training.md` about updates on a GPU."""
+    rows = [row for row in records.read_rows(common.RESULTS / "gpu.jsonl") if row["what"] == "update"]
+    times = {(row["kernels"], row["seeds"], row["precision"]): row["update_ms"] for row in rows}
+
+    def took(kernels: str, seeds: int, digits: int, precision: str = "TF32") -> str:
+        return f"{number(times[kernels, seeds, precision], digits)} ms"
+
+    rounded = took("fused", 5, 2, "bfloat16")
+    return [
+        f"takes {took('xla', 5, 2)} at 5 seeds and {took('xla', 16, 2)} at 16",
+        f"took {took('fused', 5, 1)} at 5 seeds ({rounded} in bfloat16) and {took('fused', 16, 1)} at 16",
+    ]
+
+
 def said_of_courses() -> list[str]:
     """Words of `docs/asking-for-behaviour.md` about profiles and the ant's square."""
     rows = [row for row in records.read_rows(common.RESULTS / "following.jsonl") if not row["quick"]]
@@ -213,6 +253,8 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_the_ring, "docs/fast.md"),
         (said_of_the_gathered, "docs/fast.md"),
         (said_of_the_long_run, "docs/fast.md"),
+        (said_of_half_runs, "docs/fast.md"),
+        (said_of_a_gpu, "docs/training.md"),
     ],
 )
 def test_documents_say_of_runs_and_commands_what_was_measured(said, document):
@@ -239,6 +281,14 @@ def test_the_error_of_mjx_is_said_to_be_what_its_test_allows():
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
 def test_nothing_that_looks_measured_stands_unchecked(path):
     text = plain(path)
-    for words in (*said_of_the_cheetah(), *said_of_the_long_run(), *said_of_commands(), *said_of_courses(), *GIVEN):
+    for words in (
+        *said_of_the_cheetah(),
+        *said_of_the_long_run(),
+        *said_of_commands(),
+        *said_of_courses(),
+        *said_of_half_runs(),
+        *said_of_a_gpu(),
+        *GIVEN,
+    ):
         text = text.replace(words, "")
     assert not MEASURED.findall(text)
