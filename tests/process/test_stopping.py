@@ -21,8 +21,9 @@ from ear_jax.runs.lock import lock_directory
 HERE = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
 
 BUSY = """
-import hashlib, sys
+import hashlib, signal
 from ear_jax.process.stopping import StopRequest
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests were started by nohup
 with StopRequest(lambda line: print(line, flush=True)):
     print("ready", flush=True)
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # minutes in C, where no Python handler runs
