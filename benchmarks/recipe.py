@@ -6,7 +6,6 @@ seconds, mean return], of one seed or averaged over several.
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -26,30 +25,36 @@ DOCUMENT = RESULTS.parent.parent / "docs" / "fast.md"
 PLACE = "trials"
 PICTURE = DOCUMENT.parent / "images" / "recipe.png"
 COLUMNS = ("trial", "family", "held against", "updates", "return", "return of the other")
-NAMED = 68_000  # updates; trials at least this long are labelled
-LINES = ("-", "--", ":", "-.")
+LONG = 68_000  # updates
+NAMED = 5  # trials in colour
 
 
 def draw(axes: Axes, rows: list[dict[str, Any]]) -> None:
-    """Draws return against updates, the median of five evaluations, a line for each trial; shorter trials in grey."""
-    shown = [row for row in rows if row["curve"][-1][0] >= NAMED]
+    """Draws return against updates, the median of five evaluations: some trials in colour, the others in grey."""
+    shown = named(rows)
     for row in rows:
         updates, _, _, returns = np.array(row["curve"]).T
-        returns = _median_of_five(returns)
+        style = {"color": "0.75", "linewidth": 0.8}
         if row in shown:
-            index = shown.index(row)
-            line = index + index // math.lcm(
-                len(COLOURS), len(LINES)
-            )  # shifts the pairing of colour and line style, so that no pair repeats
-            style = {"color": COLOURS[index % len(COLOURS)], "linestyle": LINES[line % len(LINES)], "zorder": 3}
-            axes.plot(updates / 1000, returns, label=row["trial"], **style)
-        else:
-            axes.plot(updates / 1000, returns, color="0.7", linewidth=0.8)
+            style = {"color": COLOURS[shown.index(row)], "label": row["trial"], "zorder": 3}
+        axes.plot(updates / 1000, _median_of_five(returns), **style)
     if len(shown) < len(rows):
-        axes.plot([], [], color="0.7", linewidth=0.8, label="shorter")
+        axes.plot([], [], color="0.75", linewidth=0.8, label="others")
     axes.set(xlabel="updates (thousands)", ylabel="return, mean over tasks", ylim=_upper(rows))
     axes.set_title(NAMES[rows[0]["family"]])
     axes.legend(fontsize=7, frameon=False, loc="upper left", bbox_to_anchor=(1.01, 1.0))
+
+
+def named(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Returns the first of a family's long trials, and those of them with the highest returns after `LONG` updates."""
+
+    def height(row: dict[str, Any]) -> float:
+        updates, _, _, returns = np.array(row["curve"]).T
+        return float(np.interp(LONG, updates, returns, left=-np.inf))
+
+    first, *others = [row for row in rows if row["curve"][-1][0] >= LONG]
+    best = sorted(others, key=height, reverse=True)[: NAMED - 1]
+    return [first, *(row for row in others if row in best)]
 
 
 def _median_of_five(values: np.ndarray) -> np.ndarray:

@@ -52,6 +52,13 @@ def test_a_part_of_the_settings_goes_over_the_preset_it_names():
     assert (config.network.width, config.epochs) == (400, 5000)
 
 
+def test_a_setting_of_earlier_versions_that_changed_no_result_is_passed_over(finished):
+    settings = json.loads((finished / "config.json").read_text())
+    settings["config"]["network"]["kernels"] = "fused"
+    Path("earlier.json").write_text(json.dumps(settings))
+    assert read(["--config", "earlier.json"]).config == read(["--config", str(finished)]).config
+
+
 def test_a_runs_settings_are_a_file(finished):
     config = read(["--config", str(finished / "config.json"), "--seed", "8"]).config
     assert (config.seed, config.network.width, config.tasks) == (8, 16, ("1", "3"))

@@ -27,7 +27,7 @@ def test_the_faster_robot_draws_away_under_a_camera_that_stands_still():
     try:
         pictures = race(model, [run(1.0), run(3.0)], ["slow", "fast"], 0.1, width=400)
     except RunError as error:
-        pytest.skip(str(error))
+        pytest.skip(f"needs OpenGL: {error}")
     assert len(pictures) == 21
     assert len({picture.shape for picture in pictures}) == 1
 

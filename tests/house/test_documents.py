@@ -177,9 +177,21 @@ def said_of_half_runs() -> list[str]:
     curves = {(row["family"], row["trial"]): row["curve"] for row in rows}
     base, critics = "half as long, two seeds", "… residual categorical critics (BRC), the "
     wide = "… width 512, batch 1,920, the policy from half, bfloat16"
+    narrow = "… bfloat16, seed 1"
 
     def reached(trial: str, family: str = "halfcheetah-vel") -> str:
         return number(curves[family, trial][-1][3], 0)
+
+    def alone(updates: int) -> str:
+        """The return of five seeds of `fast` on the way of a whole run."""
+        return number({point[0]: point[3] for point in curves["halfcheetah-vel", "fast, five seeds"]}[updates], 0)
+
+    def took(trial: str) -> str:
+        return f"{curves['halfcheetah-vel', trial][-1][2]} s"
+
+    def at(updates: int) -> str:
+        """The ant's return under `fast` itself."""
+        return number({point[0]: point[3] for point in curves["ant-dir", base]}[updates], 0)
 
     def both(trial: str) -> str:
         return f"{reached(trial)} | {reached(trial, 'ant-dir')} at {count(curves['ant-dir', trial][-1][0])}"
@@ -187,11 +199,15 @@ def said_of_half_runs() -> list[str]:
     return [
         f"itself ends at {reached(base)} (cheetah)",
         f"{reached(critics + 'lesser')}, with the mean of the critics {reached(critics + 'mean')}",
+        f"| {reached(critics + 'lesser', 'ant-dir')} at 22,800 (: {at(22_800)}) |",
         f"a quarter of it | {reached('… batch 1,920, the policy from a quarter')} |",
-        f"weight decay 0.01 | {both('… weight decay')}",
+        f"weight decay 0.01 | {both('… weight decay')} (: {at(45_600)})",
         f"outcomes | {both('… predictive φ')}",
         f"both | {both('… weight decay, predictive φ')}",
-        f"bfloat16 | | {reached(wide, 'ant-dir')} at 76,000",
+        f"bfloat16 | | {reached(wide, 'ant-dir')} at 76,000 (width alone, one seed: {reached(narrow, 'ant-dir')})",
+        f"far behind: {reached('… BatchNorm, bins, held noise (XQC, FlashSAC)', 'ant-dir')} at 30,400 (: {at(30_400)})",
+        f"four such runs took {took(critics + 'lesser')} and eight of {took(base)}",
+        f"at {alone(72_000)} after 72,000 updates and at {alone(80_000)} after 80,000",
         f"in a whole one ({reached('fast, five seeds')})",
     ]
 
@@ -225,7 +241,7 @@ def said_of_courses() -> list[str]:
     return [
         f"after the first second was {spline[0]}, {spline[1]} and {spline[2]} m/s on three profiles",
         f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
-        f"The command took {min(seconds):.0f} to {max(seconds):.0f} s on a busy machine",
+        f"Without a film the command took {min(seconds):.0f} to {max(seconds):.0f} s on two cores",
         f"from {sum(error <= 1 for error in pursuit['errors'])} of {len(pursuit['errors'])} fresh starts",
         f"from the other it missed one by {max(pursuit['errors']):.1f} m",
         f"it turned wide, up to {max(pursuit['aside']):.1f} m from the path",

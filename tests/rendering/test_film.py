@@ -39,7 +39,7 @@ def gl() -> None:
         with Canvas(mujoco.MjModel.from_xml_string(SLIDER), 8, 8):
             pass
     except RunError as error:
-        pytest.skip(str(error))
+        pytest.skip(f"needs OpenGL: {error}")
 
 
 @pytest.fixture
