@@ -91,7 +91,7 @@ class RunIndex:
     def __init__(self, preset: str):
         self.preset = preset
         self._runs: dict[Key, dict[int, Run]] = {}
-        for run in _all_runs():
+        for run in recorded_runs():
             config = run.config
             if config.preset.split("+")[0] != preset.split("+")[0] or _other_tasks(run):
                 continue
@@ -115,7 +115,7 @@ class RunIndex:
         return [run for key in sorted(self._runs) for _, run in sorted(self._runs[key].items())]
 
 
-def _all_runs() -> list[Run]:
+def recorded_runs() -> list[Run]:
     """Returns each seed of each record that has a configuration and at least one row of metrics."""
     runs = []
     for path in sorted(inventory.RECORDS.glob("[!.]*/config.json")):

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from experiments.paper import EAR_VARIANTS, FAMILIES, REACH
+from experiments.paper import EAR_VARIANTS, FAMILIES, REACH, RUN_JUMP
 from experiments.report.blocks import Block, Table
-from experiments.report.formatting import MISSING, NAMES, VARIANTS, number, spread
-from experiments.report.run_index import Run, RunIndex
+from experiments.report.formatting import NAMES, VARIANTS, number, spread
+from experiments.report.run_index import Run, RunIndex, recorded_runs
 
+ALL = (*FAMILIES, RUN_JUMP, REACH)
 MEASURES = ("space", "smooth", "lasting", "covered", "ordered")
 READ = (
     "Smooth: the slope of an ideal space, which spreads the commanded range evenly over half a great circle, as a "
@@ -26,25 +27,29 @@ READ = (
 
 def spaces(index: RunIndex) -> list[Block]:
     """Returns the measures of each family and variant over seeds, and those of each run."""
-    rows, each = [], []
-    for family in (*FAMILIES, REACH):
+    rows = []
+    for family in ALL:
         for variant in EAR_VARIANTS:
-            runs = index.runs(family, variant=variant)
-            measured = [space for run in runs if (space := _space(run))]
+            measured = [space for run in index.runs(family, variant=variant) if (space := _space(run))]
             name = NAMES[family] + VARIANTS[variant]
             if measured:
                 means = [spread([space[measure] for space in measured], 2) for measure in MEASURES]
                 steepest = spread([space["lipschitz"] for space in measured], 1)
                 rows.append([name, str(len(measured)), *means, steepest])
-            each += [[f"{run.name}, seed {run.seed}", *_cells(_space(run))] for run in runs]
+    each = [
+        [f"{run.name}, seed {run.seed}", *(number(space[measure], 2) for measure in (*MEASURES, "lipschitz"))]
+        for family in ALL
+        for run in recorded_runs()
+        if run.config.family == family and (space := _space(run))
+    ]
     if not rows:
         return ["Not measured yet."]
     columns = (*MEASURES, "Lipschitz")
     return [
         READ,
-        *(sentence for family in (*FAMILIES, REACH) for sentence in _ablations(index, family)),
+        *(sentence for family in ALL for sentence in _ablations(index, family)),
         Table("Spaces of LTEs, mean ± standard deviation over seeds.", ("method", "seeds", *columns), rows),
-        Table("Each run.", ("run", *columns), each, folded=True),
+        Table("Every recorded run.", ("run", *columns), each, folded=True),
     ]
 
 
@@ -70,7 +75,3 @@ def _mean(spaces: Sequence[dict[str, Any]], measure: str) -> str:
 
 def _space(run: Run) -> dict[str, Any] | None:
     return next((entry["space"] for entry in run.of_seed("space", "seeds")), None)
-
-
-def _cells(space: dict[str, Any] | None) -> list[str]:
-    return [number(space[name], 2) if space else MISSING for name in (*MEASURES, "lipschitz")]
