@@ -112,6 +112,8 @@ class MamlConfig:
     """Limit on the mean KL divergence by which an update changes the adapted policies."""
     discount: float = 0.99
     """Discount factor γ of MAML's returns."""
+    gae_lambda: float = 1.0
+    """λ of MAML's advantages: 1 counts on all later rewards, less on a baseline of them, which is less noisy."""
 
 
 @dataclass(frozen=True)

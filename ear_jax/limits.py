@@ -66,6 +66,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "sac.lr": (0.0, 1.0),
     "sac.discount": (0.0, 1.0),
     "maml.discount": (0.0, 1.0),
+    "maml.gae_lambda": (0.0, 1.0),
     "maml.inner_lr": (0.0, 1e3),
     "maml.max_divergence": (0.0, 1e3),
     "sac.tau": (0.0, 1.0),

@@ -20,17 +20,19 @@ def returns_to_go(reward: jax.Array, valid: jax.Array, discount: float) -> jax.A
     return jax.lax.scan(accumulate, jnp.zeros(reward.shape[1:]), rewards, reverse=True)[1]
 
 
-def advantages(obs: jax.Array, reward: jax.Array, valid: jax.Array, discount: float) -> jax.Array:
-    """Returns the return from each step on less a linear baseline, standardised over the valid steps.
+def advantages(obs: jax.Array, reward: jax.Array, valid: jax.Array, discount: float, gae_lambda: float) -> jax.Array:
+    """Returns generalised advantages (Schulman et al. 2015, arXiv 1506.02438), standardised over the valid steps.
 
-    The baseline of Duan et al. (2016, arXiv 1604.06778) is fitted to the same episodes by least squares on 1, s, s², t,
-    t², t³, with t in hundreds of steps. Episodes are complete, so nothing is bootstrapped (GAE's λ = 1).
+    Their baseline is that of Duan et al. (2016, arXiv 1604.06778), fitted to the returns of the same episodes by least
+    squares on 1, s, s², t, t², t³, with t in hundreds of steps. Episodes are complete: nothing follows their end.
 
     Args:
       obs: [steps, episodes, obs].
       reward: [steps, episodes].
       valid: bool [steps, episodes], False after an episode's end.
       discount: γ.
+      gae_lambda: λ. With 1 an advantage is the return from a step on less the baseline. A smaller λ trusts the
+        baseline of later steps instead of their rewards, which is less noisy and biased where the baseline is wrong.
 
     Returns:
       Advantages [steps, episodes], 0 where not valid.
@@ -43,6 +45,8 @@ def advantages(obs: jax.Array, reward: jax.Array, valid: jax.Array, discount: fl
     features /= jnp.sqrt(jnp.sum(features**2, axis=(0, 1)) / count + 1e-8)
     gram = jnp.einsum("sef,seg->fg", features, features) / count + RIDGE * jnp.eye(features.shape[-1])
     weights = jax.scipy.linalg.solve(gram, jnp.einsum("sef,se->f", features, to_go) / count, assume_a="pos")
-    advantage = jnp.where(valid, to_go - features @ weights, 0.0)
-    advantage = jnp.where(valid, advantage - jnp.sum(advantage) / count, 0.0)
+    baseline = features @ weights  # 0 where not valid
+    surprise = reward + discount * jnp.concatenate([baseline[1:], jnp.zeros_like(baseline[:1])]) - baseline
+    advantage = returns_to_go(surprise, valid, discount * gae_lambda)
+    advantage = jnp.where(valid, advantage - jnp.sum(jnp.where(valid, advantage, 0.0)) / count, 0.0)
     return advantage / (jnp.sqrt(jnp.sum(advantage**2) / count) + 1e-8)

@@ -169,21 +169,26 @@ class MamlLearner:
         """
         family, collect = self.family, self.config.collect
         key_start, key_noise = jax.random.split(key)
-        env_states = BatchedEnv(family).start(key_start, tasks, collect.envs)
+        env = BatchedEnv(family, resets=False)
+        env_states = env.start(key_start, tasks, collect.envs)
         noise = jax.random.normal(key_noise, (collect.steps // 2, len(codes), collect.envs, family.action_size))
-        _, played = rollout(BatchedEnv(family), act_with(self.agent, policy, codes), env_states, noise, _record)
+        _, played = rollout(env, act_with(self.agent, policy, codes), env_states, noise, _record)
 
-        def to_trial(task: TaskParams, code: jax.Array, noise: jax.Array, played: Any) -> tuple[Trial, jax.Array]:
+        def to_trial(
+            task: TaskParams, code: jax.Array, noise: jax.Array, played: Any
+        ) -> tuple[Trial, jax.Array, jax.Array]:
             obs, outcome, ended, finite = played  # each [steps, episodes, …]
-            valid = finite & first_episode(ended)
+            playing = first_episode(ended)
+            valid = finite & playing
             reward = jax.vmap(jax.vmap(family.reward, in_axes=(0, None)), in_axes=(0, None))(outcome, task)
             behaviour = jax.vmap(jax.vmap(lambda obs: self.agent.distribution(policy, code, obs)))(obs)
             raw = behaviour.mean + jnp.exp(behaviour.log_std) * noise
-            advantage = advantages(obs, reward, valid, self.config.maml.discount)
-            return Trial(obs, raw, behaviour, advantage, valid), jnp.sum(jnp.where(valid, reward, 0.0), axis=0)
+            advantage = advantages(obs, reward, valid, self.config.maml.discount, self.config.maml.gae_lambda)
+            returns = jnp.sum(jnp.where(valid, reward, 0.0), axis=0)
+            return Trial(obs, raw, behaviour, advantage, valid), returns, jnp.sum(playing & ~finite)
 
-        trials, returns = jax.vmap(to_trial, in_axes=(0, 0, 1, 1))(tasks, codes, noise, played)
-        return trials, returns, jnp.sum(~played[-1], dtype=jnp.float32)
+        trials, returns, invalid = jax.vmap(to_trial, in_axes=(0, 0, 1, 1))(tasks, codes, noise, played)
+        return trials, returns, jnp.sum(invalid).astype(jnp.float32)
 
 
 def _record(transition: Transition) -> tuple[jax.Array, Any, jax.Array, jax.Array]:

@@ -21,7 +21,7 @@ from ear_jax.runs.training import seed_keys
 NUMBERS = (
     *(f"sac.{name}" for name in ("lr", "discount", "pessimism", "tau", "lte_noise", "reward_scale", "return_scale")),
     *("sac.weight_decay", "sac.outcome_weight", "sac.initial_temperature", "sac.max_grad_norm"),
-    *("maml.inner_lr", "maml.max_divergence", "maml.discount", "replay.own_share"),
+    *("maml.inner_lr", "maml.max_divergence", "maml.discount", "maml.gae_lambda", "replay.own_share"),
 )
 OFF_AT_ZERO = ("sac.return_scale", "sac.weight_decay", "sac.outcome_weight")
 

@@ -33,13 +33,25 @@ def test_an_advantage_is_the_reward_that_observation_and_time_did_not_predict():
     time = jnp.arange(steps)[:, None] * jnp.ones((1, episodes))
     valid = time < 15
     surprise = jnp.zeros((steps, episodes)).at[7, 3].set(10.0)
-    found = jax.jit(advantages)(obs, 0.1 * time + surprise, valid, 1e-6)
+    found = jax.jit(advantages)(obs, 0.1 * time + surprise, valid, 1e-6, 1.0)
     assert jnp.unravel_index(jnp.argmax(found), found.shape) == (7, 3)
     assert found[7, 3] > 15, "in standard deviations"
     assert jnp.abs(found.at[7, 3].set(0)).max() < 1.5
     assert not found[15:].any()
     assert float(found[:15].mean()) == pytest.approx(0, abs=1e-5)
     assert float(found[:15].std()) == pytest.approx(1, abs=1e-4)
+
+
+@pytest.mark.parametrize("gae_lambda", [0.0, 0.5, 1.0])
+def test_a_smaller_lambda_gives_steps_less_of_what_came_later(gae_lambda):
+    """Nobody foresees a reward at one step; k steps before it, (γλ)ᵏ of it are left."""
+    steps, episodes, discount = 20, 200, 0.9
+    obs = jax.random.normal(jax.random.key(0), (steps, episodes, 1))
+    reward = jnp.zeros((steps, episodes)).at[12, 3].set(10.0)
+    found = jax.jit(advantages)(obs, reward, jnp.ones((steps, episodes), bool), discount, gae_lambda)
+    shares = (found[8:13, 3] / found[12, 3])[::-1]
+    np.testing.assert_allclose(shares, (discount * gae_lambda) ** np.arange(5), atol=0.02)
+    assert jnp.abs(found[13:]).max() < 0.02 * found[12, 3]
 
 
 CURVATURE = jnp.diag(jnp.array([4.0, 1.0, 0.25]))
