@@ -23,17 +23,25 @@ from benchmarks import common, hlo
 
 DEVICE = Path(__file__).with_name("h100.txtpb")
 PLUGIN = "jax_plugins.xla_cuda12"
-# What a kernel is part of: the first pattern that its source matches. Sources are JAX's names of operations.
-PARTS = (
-    ("critics backward", r"transpose\(jvp\(vmap\(vmap\(_(Mlp|Residual)"),
-    ("critics forward", r"vmap\(vmap\(_(Mlp|Residual)"),
-    ("policy backward", r"transpose\(jvp\(vmap\(_Mlp"),
-    ("policy forward", r"vmap\(_Mlp"),
-    ("gradient norms", r"closed_call/(vmap\(\)/)?(sqrt|reduce_sum)$"),
-    ("Adam and target", r"closed_call/(vmap\(\)/)?(add|sub)$|select_n$"),
-    ("losses backward", r"transpose\(jvp"),
-    ("losses forward", r"jvp|vmap"),
-)
+# What a kernel of an update or a step is part of: the first pattern that its source matches. Sources are JAX's names
+# of operations.
+PARTS: dict[str, tuple[tuple[str, str], ...]] = {
+    "learn": (
+        ("critics backward", r"transpose\(jvp\(vmap\(vmap\(_(Mlp|Residual)"),
+        ("critics forward", r"vmap\(vmap\(_(Mlp|Residual)"),
+        ("policy backward", r"transpose\(jvp\(vmap\(_Mlp"),
+        ("policy forward", r"vmap\(_Mlp"),
+        ("gradient norms", r"closed_call/(vmap\(\)/)?(sqrt|reduce_sum)$"),
+        ("Adam and target", r"closed_call/(vmap\(\)/)?(add|sub)$|select_n$"),
+        ("losses backward", r"transpose\(jvp"),
+        ("losses forward", r"jvp|vmap"),
+    ),
+    "step": (
+        ("factorisations and solves", r"cusolver|triangularSolve"),
+        ("policy", r"_Mlp"),
+        ("other physics", r"while.*while"),
+    ),
+}
 
 
 def missing() -> str | None:
@@ -82,8 +90,13 @@ def _compiler() -> str:
     return str(Path(next(iter(spec.submodule_search_locations))))
 
 
-def count(text: str) -> dict[str, Any]:
+def count(text: str, what: str = "learn", rounds: int = 1) -> dict[str, Any]:
     """Counts the kernels of one iteration of a program's outermost loop with the most of them, its updates or steps.
+
+    Args:
+      text: the program's scheduled HLO.
+      what: the program; only `learn` makes updates.
+      rounds: how often a loop goes round whose number of iterations depends on data.
 
     Returns:
       `kernels`, `matmuls`, `traffic_mb`, `scatters` (which add in any order), `parts` (kernels by
@@ -92,7 +105,7 @@ def count(text: str) -> dict[str, Any]:
     """
     module = hlo.parse(text)
     outer = [loop.called("body") for loop in module.loops(module.entry)]
-    bodies = {body: list(module.kernels(body)) for body in outer if body}
+    bodies = {body: list(module.kernels(body, rounds=rounds)) for body in outer if body}
     body, kernels = max(bodies.items(), key=lambda item: len(item[1]))
     inner = [loop for loop in _loops_within(module, body) if loop.trips is None]
     return {
@@ -101,7 +114,7 @@ def count(text: str) -> dict[str, Any]:
         "traffic_mb": round(sum(kernel.traffic for kernel in kernels) / 1e6, 1),
         "host_reads": len(inner) + sum(loop.trips is None for loop in module.loops(module.entry)),
         "scatters": sum("scatter" in kernel.ops for kernel in kernels),
-        "parts": dict(Counter(part(kernel) for kernel in kernels).most_common()),
+        "parts": dict(Counter(part(kernel, what) for kernel in kernels).most_common()),
     }
 
 
@@ -110,34 +123,60 @@ def _loops_within(module: hlo.Module, computation: str) -> list[hlo.Instruction]
     return loops + [inner for loop in loops if (body := loop.called("body")) for inner in _loops_within(module, body)]
 
 
-def part(kernel: hlo.Kernel) -> str:
-    """Names the part of an update that a kernel belongs to."""
-    for name, op in (("metrics", "dynamic-update-slice"), ("gathered batch", "gather")):
-        if op in kernel.ops:
-            return name
-    return next((name for name, pattern in PARTS if re.search(pattern, kernel.source)), "other")
+def part(kernel: hlo.Kernel, what: str = "learn") -> str:
+    """Names the part of an update or a step that a kernel belongs to."""
+    if what == "learn":
+        for name, op in (("metrics", "dynamic-update-slice"), ("gathered batch", "gather")):
+            if op in kernel.ops:
+                return name
+    patterns = PARTS.get(what, PARTS["step"])
+    return next((name for name, pattern in patterns if re.search(pattern, kernel.source)), "other")
 
 
 def graphs(dump: Path) -> dict[str, int]:
-    """Counts the CUDA graphs of one iteration of the dumped program's longest loop, and its thunks outside of them."""
+    """Counts the CUDA graphs in the dumped program's longest loop, and its thunks outside of them.
+
+    Those of inner loops count once, however often they go round.
+    """
     (listing,) = dump.glob("*thunk_sequence_after_thunk_passes.txt")
-    _, *bodies = re.split(r"^( *)body:\n", listing.read_text(), flags=re.MULTILINE)
-    indent, body = max(zip(bodies[::2], bodies[1::2], strict=True), key=lambda found: len(found[1]))
-    body = re.split(rf"^ {{0,{len(indent)}}}\S", body, maxsplit=1, flags=re.MULTILINE)[0]
-    kinds = re.findall(rf"^ {{{len(indent) + 2}}}\d+: (k\w+)", body, re.MULTILINE)
-    return {"graphs": kinds.count("kCommandBuffer"), "loose": len(kinds) - kinds.count("kCommandBuffer")}
+    return graphs_of(listing.read_text())
+
+
+def graphs_of(listing: str) -> dict[str, int]:
+    """Counts as `graphs` does, in the text of a listing."""
+    listing = re.sub(r"^condition:\n.*?(?=^ *body:\n)", "", listing, flags=re.MULTILINE | re.DOTALL)
+    outer = re.split(r"^  body:\n", listing, flags=re.MULTILINE)[1:]
+    body = max((re.split(r"^ {0,2}\S", text, maxsplit=1, flags=re.MULTILINE)[0] for text in outer), key=len)
+    above: list[tuple[int, str]] = []
+    found: Counter[str] = Counter()
+    for spaces, kind in re.findall(r"^( *)\d+: (k\w+)", body, re.MULTILINE):
+        above = [outside for outside in above if outside[0] < len(spaces)]
+        if all(name != "kCommandBuffer" for _, name in above):
+            found["graphs" if kind == "kCommandBuffer" else "loose"] += 1
+        above.append((len(spaces), kind))
+    return {"graphs": found["graphs"], "loose": found["loose"]}
 
 
 def measure(options: argparse.Namespace, what: str, seeds: int = 5) -> None:
     """Compiles one program of `fast` HalfCheetah-Vel and writes its row."""
+    about = {"program": what, "family": "halfcheetah-vel", "preset": "fast", "seeds": seeds}
+    common.write_row(options, "census", {**about, **counted(about)})
+
+
+def counted(about: dict[str, Any]) -> dict[str, Any]:
+    """Compiles the program that a row is about and returns what is counted in it."""
+    from ear_jax.envs import find_family
     from ear_jax.presets import preset_config
 
-    config = preset_config("halfcheetah-vel", "fast")
-    config = dataclasses.replace(config, seeds=seeds, engine="native" if what == "learn" else "mjx")
+    what, learns = about["program"], about["program"] == "learn"
+    config = preset_config(about["family"], about["preset"])
+    config = dataclasses.replace(config, seeds=about["seeds"], engine="native" if learns else "mjx")
+    # The solver goes on until the last of the environments has converged: nearly always to its limit.
+    rounds = {} if learns else {"rounds": find_family(about["family"]).mjx_solver[0]}
     with tempfile.TemporaryDirectory() as scratch:
-        counted = {**count(compile_for_h100(what, config, Path(scratch))), **graphs(Path(scratch))}
-    about = {"program": what, "family": config.family, "preset": config.preset, "seeds": seeds}
-    common.write_row(options, "census", {**about, "kernels_by": "xla", "device": "H100", **counted})
+        text = compile_for_h100(what, config, Path(scratch))
+        found = {**count(text, what, **rounds), **graphs(Path(scratch))}
+    return {"kernels_by": "xla", "device": "H100", **rounds, **found}
 
 
 def main() -> None:

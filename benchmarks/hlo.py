@@ -71,22 +71,21 @@ class Module:
         chosen = self.computations.values() if computation is None else [self.computations[computation]]
         return [found for instructions in chosen for found in instructions if found.op == "while"]
 
-    def kernels(self, computation: str, loops: bool = True) -> Iterator[Kernel]:
+    def kernels(self, computation: str, rounds: int = 1) -> Iterator[Kernel]:
         """Yields the kernels of one run of a computation.
 
         Args:
           computation: its name.
-          loops: yield those of inner loops too, once for each iteration; a loop whose number of iterations is not known
-            counts as one.
+          rounds: iterations of an inner loop whose number is not known; kernels of inner loops count once for each.
         """
         shapes = {found.name: found.shape for found in self.computations[computation]}
         for found in self.computations[computation]:
             if found.op == "while":
                 body = found.called("body")
-                inner = list(self.kernels(body)) if body and loops else []
-                yield from inner * (found.trips or 1)
+                inner = list(self.kernels(body, rounds)) if body else []
+                yield from inner * (found.trips or rounds)
             elif found.op == "call" and (called := found.called()):
-                yield from self.kernels(called, loops)
+                yield from self.kernels(called, rounds)
             elif found.op not in NO_KERNEL and not found.op.endswith("-done"):
                 yield self._kernel(found, shapes)
 
