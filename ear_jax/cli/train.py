@@ -110,11 +110,12 @@ def print_estimate(config: Config, directory: Path) -> None:
     """Prints the estimate of `--dry-run`; raises the errors that `ear train` would raise."""
     from ear_jax.runs.documents import header
     from ear_jax.runs.estimate import check_memory
+    from ear_jax.runs.fastest import with_engine
     from ear_jax.runs.training import make_program
 
     check_place(directory)
     with results_only():
-        program = make_program(config)
+        program = make_program(with_engine(config, say))
     check_memory(program)
     print(header(program, directory))
     for name, value in flat(config).items():

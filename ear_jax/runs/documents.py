@@ -13,7 +13,7 @@ from ear_jax.config import Config
 from ear_jax.learning.episodes import Episodes
 from ear_jax.learning.sac_state import CRITICS
 from ear_jax.process import hosts
-from ear_jax.process.precision import product
+from ear_jax.process.precision import equal_bits, product
 from ear_jax.runs import records, training
 from ear_jax.runs.seeds import seed_range
 from ear_jax.runs.training import Program
@@ -21,7 +21,7 @@ from ear_jax.runs.training import Program
 
 def header(program: Program, place: str | Path) -> str:
     """Returns the line that a run prints first."""
-    config = program.config
+    config, engine = program.config, program.family.engine.name
     counts = program.agent.parameter_counts
     products = product(config.network.matmul)
     rounded = "" if products == "float32" else f" in {products}"
@@ -30,7 +30,7 @@ def header(program: Program, place: str | Path) -> str:
     return (
         f"{config.family} · {config.agent} · preset {config.preset} · {len(program.tasks)} tasks · "
         f"{seed_range(config)}{over} · policy of {counts['policy']:,} parameters{critics} · "
-        f"engine {program.family.engine.name} on {jax.default_backend()}{rounded} · {place}"
+        f"engine {engine} on {jax.default_backend()}{rounded} · {equal_bits(engine)} · {place}"
     )
 
 

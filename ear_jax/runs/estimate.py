@@ -10,15 +10,15 @@ from typing import Any
 
 import jax
 
-from ear_jax.agents.networks import Params
 from ear_jax.config import Config
 from ear_jax.errors import RunError
-from ear_jax.learning.episodes import Episodes
 from ear_jax.methods import find_method
 from ear_jax.process import hosts, runtime
 from ear_jax.process.memory import Room, available
+from ear_jax.process.target import on_accelerator
 from ear_jax.process.terminal import phase
 from ear_jax.runs import training
+from ear_jax.runs.on_host import compiler_of
 from ear_jax.runs.rollouts import epoch_bytes
 from ear_jax.runs.seeds import devices_for
 from ear_jax.runs.training import Program
@@ -109,6 +109,8 @@ def gigabytes(count: int) -> str:
 def times(config: Config) -> Times:
     """Times a program with only a few steps and updates per epoch, and extrapolates to an epoch of the run.
 
+    Environments step where those of the run do: on the device, or on the host beside it.
+
     Args:
       config: the run's; its whole replay is allocated.
     """
@@ -118,28 +120,19 @@ def times(config: Config) -> Times:
         steps, updates = collect.steps, sac.updates
     short = replace(config, collect=replace(collect, steps=steps), sac=replace(sac, updates=updates))
     program, keys = training.make_program(short), training.seed_keys(short)
-    compiler_options = runtime.compiler_options(config.network.matmul)
-
-    def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
-        return jax.jit(jax.vmap(function), compiler_options=compiler_options, **options)
-
-    def evaluate(policy: Params, key: jax.Array) -> Episodes:
-        return training.evaluate(program, policy, key, config.log.episodes)
-
-    collecting = compiled(lambda state: training.collect(program, state)[0], donate_argnums=0)
-    learning = compiled(lambda state: training.learn(program, state)[0], donate_argnums=0)
-    evaluating = compiled(evaluate)
     began = time.perf_counter()
     with phase("compiling"):
-        state = learning(collecting(compiled(partial(training.init, program))(keys)))
-        jax.block_until_ready(evaluating(state.learner.policy, keys))
+        compiled = compiler_of(program)(program, keys)
+        state, _ = compiled.learn(compiled.collect(compiled.init(keys))[0])
+        jax.block_until_ready(compiled.evaluate(state.learner.policy, keys))
     compiling = time.perf_counter() - began
     with phase(f"timing {steps} steps and {updates} updates"):
-        collect_seconds, state = _fastest(collecting, state)
-        learn_seconds, state = _fastest(learning, state)
-        evaluation, _ = _fastest(lambda state: evaluating(state.learner.policy, keys), state, repeats=1)
-    epoch = collect_seconds / steps * collect.steps + learn_seconds / updates * sac.updates
-    return Times(compiling, epoch, evaluation)
+        collect_seconds, state = _fastest(lambda state: compiled.collect(state)[0], state)
+        learn_seconds, state = _fastest(lambda state: compiled.learn(state)[0], state)
+        evaluation, _ = _fastest(lambda state: compiled.evaluate(state.learner.policy, keys), state, repeats=1)
+    halves = (collect_seconds / steps * collect.steps, learn_seconds / updates * sac.updates)
+    overlap = compiled.both is not None and on_accelerator()  # on a CPU both have the same cores
+    return Times(compiling, max(halves) if overlap else sum(halves), evaluation)
 
 
 def _fastest(run: Callable[[Any], Any], state: Any, repeats: int = REPEATS) -> tuple[float, Any]:

@@ -25,7 +25,7 @@ from ear_jax.process import hosts
 from ear_jax.process.runtime import compiler_options
 from ear_jax.process.target import on_accelerator, tracing_for
 from ear_jax.runs import training
-from ear_jax.runs.compiled import Compiled
+from ear_jax.runs.compiled import Compiled, compile_program
 from ear_jax.runs.seeds import over_seeds, seed_sharding
 from ear_jax.runs.training import Metrics, Program, TrainState
 
@@ -53,6 +53,15 @@ def collects_on_host(program: Program) -> bool:
     if overlap and (not native or program.learner.on_policy):
         raise UsageError("--collect.overlap True needs --engine native and an agent that learns from replay")
     return native and (overlap or on_accelerator())
+
+
+def compiler_of(program: Program) -> Callable[..., Compiled]:
+    """Returns the function that compiles a run for where its environments step: `compile_on_host`, `compile_program`.
+
+    Raises:
+      UsageError: as `collects_on_host`.
+    """
+    return compile_on_host if collects_on_host(program) else compile_program
 
 
 def plan(program: Program, state: TrainState) -> tuple[jax.Array, Plan]:

@@ -9,14 +9,16 @@ import jax
 import numpy as np
 import pytest
 
+from ear_jax.cli.main import main
 from ear_jax.errors import RunError, UsageError
 from ear_jax.presets import preset_config
 from ear_jax.process.target import tracing_for
 from ear_jax.runs import training
 from ear_jax.runs.compiled import fill_replay, train_epochs
+from ear_jax.runs.estimate import Times, times
 from ear_jax.runs.fastest import fastest_engine, step_seconds
 from ear_jax.runs.on_host import collects_on_host, compile_on_host
-from tests.helpers.runs import compiled, leaves, tiny_config
+from tests.helpers.runs import compiled, leaves, tiny_config, words
 
 EPOCHS = 3
 
@@ -109,6 +111,36 @@ def test_the_faster_engine_is_taken_and_told():
     assert 0 < seconds < 1
     engine, line = fastest_engine({"native": 0.002, "mjx": 0.001})
     assert (engine, line) == ("mjx", "engine mjx: a step of all environments takes native 2.00 ms, mjx 1.00 ms")
+
+
+def test_an_estimate_for_an_accelerator_times_collection_on_the_host(on_host, monkeypatch):
+    """With engine native; what is compiled for the processor stands for both devices."""
+    asked = []
+
+    def compile_on_host(program, keys):
+        asked.append((program.family.engine.name, len(keys)))
+        return dataclasses.replace(on_host, both=None)
+
+    monkeypatch.setattr("ear_jax.runs.on_host.on_accelerator", lambda: True)
+    monkeypatch.setattr("ear_jax.runs.on_host.compile_on_host", compile_on_host)
+    taken = times(tiny_config(seeds=2))
+    assert asked == [("native", 2)]
+    assert 0 < taken.epoch < taken.compiling
+    assert taken.evaluation > 0
+
+
+def test_a_dry_run_names_the_engine_that_auto_means_on_an_accelerator(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("ear_jax.runs.fastest.on_accelerator", lambda: True)
+    monkeypatch.setattr(
+        "ear_jax.runs.fastest.step_seconds", lambda config, engine: {"native": 1e-3, "mjx": 2e-3}[engine]
+    )
+    monkeypatch.setattr("ear_jax.runs.estimate.times", lambda config: Times(10.0, 1.0, 1.0))
+    run = tmp_path / "run"
+    assert main([*words(dataclasses.replace(tiny_config(), engine="auto")), "--out", str(run), "--dry-run"]) == 0
+    out, err = capsys.readouterr()
+    assert "engine native: a step of all environments takes native 1.00 ms, mjx 2.00 ms" in err
+    assert "engine native on" in out
+    assert not run.exists()
 
 
 def test_native_cannot_be_compiled_for_an_accelerator():
