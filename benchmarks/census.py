@@ -157,10 +157,15 @@ def graphs_of(listing: str) -> dict[str, int]:
     return {"graphs": found["graphs"], "loose": found["loose"]}
 
 
-def measure(options: argparse.Namespace, what: str, seeds: int = 5) -> None:
+def measure(options: argparse.Namespace, what: str, engine: str, seeds: int = 5) -> None:
     """Compiles one program of `fast` HalfCheetah-Vel and writes its row."""
-    about = {"program": what, "family": "halfcheetah-vel", "preset": "fast", "seeds": seeds}
+    about = {"program": what, "family": "halfcheetah-vel", "preset": "fast", "engine": engine, "seeds": seeds}
     common.write_row(options, "census", {**about, **counted(about)})
+
+
+def engine_of(row: dict[str, Any]) -> str:
+    """Returns the engine of a row's program; older rows do not name it."""
+    return str(row.get("engine", "native" if row["program"] == "learn" else "mjx"))
 
 
 def counted(about: dict[str, Any]) -> dict[str, Any]:
@@ -170,7 +175,7 @@ def counted(about: dict[str, Any]) -> dict[str, Any]:
 
     what, learns = about["program"], about["program"] == "learn"
     config = preset_config(about["family"], about["preset"])
-    config = dataclasses.replace(config, seeds=about["seeds"], engine="native" if learns else "mjx")
+    config = dataclasses.replace(config, seeds=about["seeds"], engine=engine_of(about))
     # The solver goes on until the last of the environments has converged: nearly always to its limit.
     rounds = {} if learns else {"rounds": find_family(about["family"]).mjx_solver[0]}
     with tempfile.TemporaryDirectory() as scratch:
@@ -185,10 +190,10 @@ def main() -> None:
         print(f"census skipped: {reason}")
         return
     os.environ["JAX_PLATFORMS"] = "cpu"
-    measure(options, "learn", 1 if options.quick else 5)
-    if not options.quick:
-        measure(options, "collect")
-        measure(options, "evaluate")
+    measure(options, "learn", "native", 1 if options.quick else 5)
+    for what, engine in (("collect", "mjx"), ("evaluate", "mjx"), ("collect", "mjx-fixed")):
+        if not options.quick:
+            measure(options, what, engine)
 
 
 if __name__ == "__main__":

@@ -194,7 +194,7 @@ class Config:
     agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "ear"
     """The method: ear, which is the paper's, ear-rnn, multihead, onehot, onehot-blind, pearl or maml."""
     engine: Annotated[str, tyro.conf.arg(metavar="ENGINE")] = "auto"
-    """Physics engine: auto, native (CPU), mjx, or warp (NVIDIA GPUs; pip install 'ear-jax[warp]')."""
+    """Physics engine: auto, native (CPU), mjx, mjx-fixed, or warp (NVIDIA GPUs; pip install 'ear-jax[warp]')."""
     seed: int = 0
     """First seed."""
     seeds: int = 1

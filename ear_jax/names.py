@@ -29,7 +29,7 @@ METHOD_FILES = (  # each defines METHOD
     "pearl",
     "maml",
 )
-ENGINES = ("native", "mjx", "warp")
+ENGINES = ("native", "mjx", "mjx-fixed", "warp")
 ENTRY_POINTS = "ear_jax.families"  # entry-point group of families in installed packages
 
 

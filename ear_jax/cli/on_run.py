@@ -33,7 +33,7 @@ class OnRun:
     family: Annotated[str | None, option("FAMILY", "the run's")] = None
     """The run's family, as for `ear train`; required for a family of your own."""
     engine: Annotated[str | None, option("ENGINE", "the run's")] = None
-    """Physics engine: auto, native (CPU), mjx or warp."""
+    """Physics engine: auto, native (CPU), mjx, mjx-fixed or warp."""
     json: bool = False
     """Print one JSON document and nothing else."""
 

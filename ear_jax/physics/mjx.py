@@ -10,6 +10,7 @@ import jax
 import mujoco
 
 from ear_jax.errors import RunError
+from ear_jax.physics.fixed_solver import solver_of_mjx
 from ear_jax.physics.kinematics import body_positions
 from ear_jax.physics.state import Motion, Physics
 from ear_jax.process.silent_imports import mjx
@@ -21,13 +22,14 @@ WARP_CONSTRAINTS = 128
 
 
 class MjxEngine:
-    """Steps with `mujoco.mjx`, without calling the host."""
+    """Steps with `mujoco.mjx`, without calling the host; as `mjx-fixed` with the solver of `fixed_solver.py`."""
 
     def __init__(self, model: mujoco.MjModel, substeps: int, body_ids: list[int], solver: tuple[int, int], name: str):
         model = copy.copy(model)
         model.opt.iterations, model.opt.ls_iterations = solver
         self.name = name
         self._substeps = substeps
+        self._fixed = solver[0] if name == "mjx-fixed" else None
         self._positions = body_positions(model, body_ids)
         self._model, self._blank = _warp(model) if name == "warp" else _jax(model)
 
@@ -37,7 +39,8 @@ class MjxEngine:
             data = data.replace(mocap_pos=physics.mocap)
         if physics.act is not None:
             data = data.replace(act=physics.act)
-        with jax.default_matmul_precision("highest"):  # a GPU's default rounds mantissas to 10 bits
+        # A GPU's default rounds mantissas to 10 bits.
+        with jax.default_matmul_precision("highest"), solver_of_mjx(self._fixed):
             data, _ = jax.lax.scan(lambda data, _: (mjx.step(self._model, data), None), data, length=self._substeps)
         act = None if physics.act is None else data.act
         after = Physics(data.qpos, data.qvel, data.qacc_warmstart, physics.mocap, act)

@@ -121,17 +121,19 @@ def test_learning_on_a_gpu_does_not_grow():
 
 
 def last_rows():
-    """The last committed row of each program that is compiled from XLA's kernels alone."""
+    """The last committed row of each program and engine, of those of XLA's kernels alone."""
     rows = records.read_rows(common.RESULTS / "census.jsonl")
-    return {row["program"]: row for row in rows if row["kernels_by"] == "xla"}
+    return {(row["program"], census.engine_of(row)): row for row in rows if row["kernels_by"] == "xla"}
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(census.missing() is not None, reason=str(census.missing()))
-@pytest.mark.parametrize("program", ["learn", "collect", "evaluate"])
-def test_kernels_compiled_for_an_h100_do_not_grow(program):
+@pytest.mark.parametrize(
+    ("program", "engine"), [("learn", "native"), ("collect", "mjx"), ("evaluate", "mjx"), ("collect", "mjx-fixed")]
+)
+def test_kernels_compiled_for_an_h100_do_not_grow(program, engine):
     """Of an update, and of a step on MJX, against the last committed row."""
-    row = last_rows()[program]
+    row = last_rows()[program, engine]
     counted = census.counted(row)
     assert counted["kernels"] <= row["kernels"]
     assert counted["traffic_mb"] <= 1.01 * row["traffic_mb"]
@@ -139,6 +141,8 @@ def test_kernels_compiled_for_an_h100_do_not_grow(program):
     assert counted["scatters"] <= row["scatters"]
 
 
-def test_learning_never_waits_for_the_host():
-    row = last_rows()["learn"]
-    assert row["host_reads"] == row["scatters"] == 0
+def test_neither_learning_nor_the_fixed_solver_waits_for_the_host():
+    rows = last_rows()
+    assert rows["learn", "native"]["scatters"] == 0
+    assert [row["host_reads"] for row in rows.values()] == [0, 1, 1, 0]
+    assert rows["collect", "mjx-fixed"]["kernels"] < 0.6 * rows["collect", "mjx"]["kernels"]

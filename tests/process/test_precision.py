@@ -1,4 +1,4 @@
-"""What a run and `ear doctor` say of precision and equal bits."""
+"""The words of a run and of `ear doctor` on precision and equal bits."""
 
 from __future__ import annotations
 
