@@ -2,8 +2,9 @@
 
     make bench-gpu            # or: python -m benchmarks.gpu --minutes 8 --results FOLDER
 
-Measurements come in the order of their worth, and those that no longer fit are skipped with a line. Each row tells the
-seconds of compiling. Set EAR_JAX_CACHE to a folder that you bring back: with it the next call compiles nothing.
+Measurements come in the order of their worth, and those that no longer fit are skipped with a line; `--only torch run`
+measures these in a second call. Each row tells the seconds of compiling. Set EAR_JAX_CACHE to a folder that you bring
+back: with it the next call compiles nothing. PyTorch is measured where this Python or `benchmarks/.peers` has it.
 `--trace FOLDER` keeps a profile of an epoch's updates. `--quick` rehearses it all on a CPU, in small.
 """
 
@@ -17,11 +18,12 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from subprocess import CalledProcessError
 from typing import Any
 
 import jax
 
-from benchmarks import common, peers, time_to_return
+from benchmarks import common, equal_bits, peers, time_to_return
 from benchmarks.gpu_page import draw_page
 from benchmarks.update import filled
 from ear_jax.config import Config
@@ -30,13 +32,16 @@ from ear_jax.presets import preset_config
 from ear_jax.process.precision import product
 from ear_jax.process.runtime import compiler_options, enable_cache
 from ear_jax.runs import on_host, training
-from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
+from ear_jax.runs.compiled import Compiled, fill_replay, train_epochs
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.seeds import over_seeds
 
 FAMILIES = ("halfcheetah-vel", "hopper-vel", "walker-vel")
 REPEATS = 5
-SECONDS = {"update": 45, "collect": 60, "epoch": 60, "run": 90}  # what a measurement needs at most, from a cold cache
+# What a measurement needs at most, from a cold cache.
+SECONDS = {"update": 45, "collect": 60, "epoch": 60, "torch": 45, "bits": 120, "run": 90}
+
+RUN = 150  # seconds that the run may take, as far as they are left
 
 
 def changed(config: Config, **settings: Any) -> Config:
@@ -91,7 +96,7 @@ def ready(config: Config) -> tuple[Compiled, Any, float]:
     """Returns a run's compiled programs, its state with some experience, and the seconds of compiling."""
     program, keys = training.make_program(config), training.seed_keys(config)
     began = time.perf_counter()
-    compiled = (on_host.compile_on_host if on_host.collects_on_host(program) else compile_program)(program, keys)
+    compiled = on_host.compiler_of(program)(program, keys)
     seconds = time.perf_counter() - began
     return compiled, fill_replay(compiled, compiled.init(keys), 1), seconds
 
@@ -112,14 +117,23 @@ def measure_epoch(options: argparse.Namespace, config: Config) -> dict[str, Any]
 
 
 def measure_torch(options: argparse.Namespace, config: Config) -> dict[str, Any]:
-    """Times the same update of one seed in compiled PyTorch, where `benchmarks.peers` has installed it."""
-    if not (peers.PLACE / "made").exists():
-        return {"unavailable": f"no PyTorch in {peers.PLACE}"}
+    """Times the same update of one seed in compiled PyTorch."""
+    python = peers.python_with_torch()
+    if python is None:
+        return {"failed": "no PyTorch: pip install torch, whose wheel for Linux brings CUDA, or run benchmarks.peers"}
     settings = peers.torch_settings(config, training.make_program(config), config.sac.updates)
     device = "cpu" if options.quick else "cuda"
-    answer = peers.ask("peer_torch.py", {**settings, "bf16": False, "device": device, "compile": not options.quick})
-    figures = common.spread("update_ms", [answer["ms"]])
-    return {"batch_size": config.sac.batch_size, "kernels": f"torch {answer['version']}", **figures}
+    settings |= {"bf16": False, "device": device, "compile": not options.quick, "repeats": REPEATS}
+    answer = peers.ask("peer_torch.py", settings, python)
+    figures = common.spread("update_ms", answer["each_ms"])
+    about = {"what": "update", "batch_size": config.sac.batch_size, "kernels": f"torch {answer['version']}"}
+    return {**about, **figures}
+
+
+def measure_bits(flags: str, options: argparse.Namespace, config: Config) -> dict[str, Any]:
+    """Tells whether fresh processes end a short run with equal bits, under XLA's flags."""
+    equal = equal_bits.compare("smoke" if options.quick else config.preset, flags)
+    return {"engine": config.engine, "epochs": equal_bits.EPOCHS, "xla_flags": flags, **equal}
 
 
 def measure_run(options: argparse.Namespace, config: Config) -> dict[str, Any]:
@@ -139,29 +153,34 @@ Measurement = tuple[str, Callable[[argparse.Namespace, Config], dict[str, Any]],
 def measurements(options: argparse.Namespace) -> Iterator[Measurement]:
     """Yields what is measured, the most telling first."""
     fast = partial(preset_config, preset="fast")
-    engines = ("native",) if options.quick else ("native", "mjx")
+    engines = ("native",) if options.quick else ("native", "mjx", "mjx-fixed")
     cheetah = changed(fast("halfcheetah-vel"), seeds=5)
     yield "update", measure_update, cheetah
     for overlap in (False, True):
         yield "epoch", measure_epoch, changed(cheetah, engine="native", collect__overlap=overlap)
     for engine in engines:
         yield "collect", measure_collect, changed(cheetah, engine=engine)
+    for batch in (480, 1920):
+        alone = changed(cheetah, seeds=1, sac__batch_size=batch)
+        yield "update", measure_update, alone
+        yield "torch", measure_torch, alone
+    yield "bits", partial(measure_bits, ""), changed(cheetah, seeds=1, engine="native")
+    yield "run", measure_run, changed(cheetah, engine="native", collect__overlap=True)
     yield "update", measure_update, changed(cheetah, sac__batch_size=1920)
-    for seeds in (1, 16):
-        yield "update", measure_update, changed(cheetah, seeds=seeds)
-    yield "update", measure_torch, changed(cheetah, seeds=1)
+    yield "update", measure_update, changed(cheetah, seeds=16)
+    yield "bits", partial(measure_bits, equal_bits.NO_AUTOTUNING), changed(cheetah, seeds=1, engine="native")
     yield "update", measure_update, changed(cheetah, network__matmul="bfloat16")
     for family in FAMILIES[1:]:
         for engine in engines:
             yield "collect", measure_collect, changed(fast(family), seeds=3, engine=engine)
         yield "epoch", measure_epoch, changed(fast(family), seeds=3, engine="native", collect__overlap=True)
-    yield "run", measure_run, changed(cheetah, engine="native", collect__overlap=True)
 
 
 def options_of() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="rehearse in small; the timings mean nothing")
     parser.add_argument("--minutes", type=float, default=8.0, help="time for everything, compiling included")
+    parser.add_argument("--only", nargs="+", choices=SECONDS, default=SECONDS, help="what to measure (default: all)")
     parser.add_argument("--results", type=Path, default=common.RESULTS, help="directory of gpu.jsonl and gpu.png")
     parser.add_argument("--trace", type=Path, help="directory of profiles")
     return parser.parse_args()
@@ -174,6 +193,8 @@ def main() -> int:
         print("bench-gpu skipped: JAX finds no GPU here (--quick rehearses it on the CPU)")
         return 0
     for what, measure, config in measurements(options):
+        if what not in options.only:
+            continue
         config = small(config) if options.quick else config
         left = 60 * options.minutes - (time.perf_counter() - began)
         about = {"what": what, "family": config.family, "seeds": config.seeds}
@@ -181,10 +202,10 @@ def main() -> int:
             print(f"skipped for want of time: {about}", file=sys.stderr)
             continue
         if what == "run":
-            config = changed(config, minutes=(left - 15) / 60)
+            config = changed(config, minutes=min(left - 15, RUN) / 60)
         try:
             row = measure(options, config)
-        except (RunError, UsageError, jax.errors.JaxRuntimeError) as error:
+        except (RunError, UsageError, jax.errors.JaxRuntimeError, CalledProcessError) as error:
             row = {"failed": str(error).splitlines()[0][:200]}
         device = {"device": jax.local_devices()[0].device_kind, "host_cores": os.cpu_count()}
         common.write_row(options, "gpu", {**about, **device, "precision": product(config.network.matmul), **row})

@@ -49,7 +49,7 @@ def _bars(axes: Axes, rows: list[dict[str, Any]], key: str, label: str) -> None:
     """Draws a horizontal bar for each row, with the range of its runs and its number."""
     for index, row in enumerate(rows):
         low, high = row[key] - row[f"{key}_min"], row[f"{key}_max"] - row[key]
-        colour = COLOURS[row.get("engine") == "mjx" or row.get("kernels", "xla") not in ("xla", "auto")]
+        colour = COLOURS[row.get("engine", "").startswith("mjx") or row.get("kernels", "xla") not in ("xla", "auto")]
         axes.barh(index, row[key], xerr=[[low], [high]], color=colour, error_kw={"elinewidth": 0.8})
         axes.annotate(f" {row[key]:.3g}", (row[f"{key}_max"], index), va="center", fontsize=7)
     axes.set_yticks(range(len(rows)), [_name(row) for row in rows], fontsize=7)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import importlib.util
 import json
 import subprocess
 import sys
@@ -43,12 +44,18 @@ def interpreter() -> str:
     return str(python)
 
 
-def ask(script: str, settings: dict[str, Any]) -> dict[str, Any]:
-    """Runs a peer's script and returns the JSON that it prints."""
-    done = subprocess.run(
-        [interpreter(), HERE / script, json.dumps(settings)], capture_output=True, text=True, check=True
-    )
+def ask(script: str, settings: dict[str, Any], python: str | None = None) -> dict[str, Any]:
+    """Runs a peer's script, by default with the Python of their environment, and returns the JSON that it prints."""
+    command = [python or interpreter(), HERE / script, json.dumps(settings)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def python_with_torch() -> str | None:
+    """Returns a Python that has PyTorch already: this one, or that of the peers' environment; None without either."""
+    if importlib.util.find_spec("torch"):
+        return sys.executable
+    return interpreter() if (PLACE / "made").exists() else None
 
 
 def torch_settings(config: Config, program: training.Program, updates: int) -> dict[str, Any]:
