@@ -35,7 +35,7 @@ class FamilyVectorEnv(VectorEnv):
       family: a family's name, or path/to/file.py:ClassName.
       num_envs: environments, at least one for each task.
       tasks: names of tasks, such as 1 and 2.5; all training tasks by default.
-      engine: physics engine: auto, native (CPU), mjx or warp.
+      engine: physics engine: auto, native (CPU), mjx, mjx-fixed or warp.
     """
 
     metadata: Infos = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012

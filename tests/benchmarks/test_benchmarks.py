@@ -37,6 +37,21 @@ def test_a_benchmark_runs_in_small(name, tmp_path):
     assert all(row["quick"] and "unavailable" not in row for row in rows)
 
 
+@pytest.mark.slow
+def test_the_script_for_a_gpu_runs_to_its_end_in_small(tmp_path):
+    """Only PyTorch may be missing. On the CPU fresh processes have equal bits, with one cache and with two."""
+    words = [sys.executable, "-m", "benchmarks.gpu", "--quick", "--minutes", "20", "--results", str(tmp_path)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=1500)
+    assert done.returncode == 0, done.stderr
+    rows = records.read_rows(tmp_path / "gpu.jsonl")
+    assert not [row for row in rows if "failed" in row and "no PyTorch" not in row["failed"]]
+    assert {row["what"] for row in rows} >= {"update", "epoch", "collect", "bits", "run"}
+    (bits,) = [row for row in rows if row["what"] == "bits"]
+    assert bits["equal_with_fresh_caches"]
+    assert bits["equal_with_one_cache"]
+    assert (tmp_path / "gpu.png").exists()
+
+
 def test_no_part_of_the_picture_of_trials_lies_over_another(tmp_path, monkeypatch):
     found = []
     monkeypatch.setattr(recipe, "save_figure", lambda figure, path: found.extend(overlaps(figure)))
