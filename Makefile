@@ -55,7 +55,8 @@ bench: setup
 	$(BIN)/python -m benchmarks.time_to_return
 	$(BIN)/python -m benchmarks.figures
 
-# Needs an NVIDIA GPU and `pip install "jax[cuda12]"` in .venv; at most eight minutes.
+# Needs an NVIDIA GPU and `pip install "jax[cuda12]"` in .venv; at most eight minutes. PyTorch's update is timed as well
+# once `python -m benchmarks.peers --quick` has installed it beside, with CUDA where the index has that wheel.
 bench-gpu: setup
 	$(BIN)/python -m benchmarks.gpu --minutes 8
 

@@ -120,7 +120,7 @@ def measure_torch(options: argparse.Namespace, config: Config) -> dict[str, Any]
     """Times the same update of one seed in compiled PyTorch."""
     python = peers.python_with_torch()
     if python is None:
-        return {"failed": "no PyTorch: pip install torch, whose wheel for Linux brings CUDA, or run benchmarks.peers"}
+        return {"failed": "no PyTorch here: `python -m benchmarks.peers --quick` installs it beside this environment"}
     settings = peers.torch_settings(config, training.make_program(config), config.sac.updates)
     device = "cpu" if options.quick else "cuda"
     settings |= {"bf16": False, "device": device, "compile": not options.quick, "repeats": REPEATS}

@@ -20,6 +20,7 @@ from ear_jax.limits import check
 from ear_jax.presets import check_effect
 from ear_jax.process import hosts
 from ear_jax.process.hosts import Hosts
+from ear_jax.process.terminal import say
 from ear_jax.runs import sweep
 from ear_jax.runs.failure import reported
 from ear_jax.runs.groups import group
@@ -178,6 +179,7 @@ def _without(option: str, words: Sequence[str]) -> Iterator[str]:
 
 def print_plan(groups: Sequence[Sequence[Trial]], directory: Path) -> None:
     """Prints the programs of a sweep, their runs and their cost; raises the errors that the sweep would raise."""
+    from ear_jax.runs.fastest import with_engine
     from ear_jax.runs.side_by_side import members
     from ear_jax.runs.training import make_program
 
@@ -185,7 +187,8 @@ def print_plan(groups: Sequence[Sequence[Trial]], directory: Path) -> None:
         print(f"program {number} of {len(groups)}: {len(trials)} runs side by side, in {directory}")
         for trial in trials:
             print(f"  {trial.name}")
-        train.print_cost(make_program(members([trial.config for trial in trials])))
+        config = with_engine(members([trial.config for trial in trials]), say)
+        train.print_cost(make_program(config))
 
 
 def _print(document: dict[str, Any]) -> None:
