@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -16,6 +18,20 @@ SLIDER = """
   <option timestep="0.01" gravity="0 0 0"/>
   <worldbody><body><joint name="slide" type="slide" axis="1 0 0"/><geom size="0.1" mass="1"/></body></worldbody>
   <actuator><motor joint="slide" ctrlrange="-1 1" ctrllimited="true"/></actuator>
+</mujoco>
+"""
+
+TABLE = """
+<mujoco>
+  <option timestep="0.01" gravity="0 0 0"/>
+  <worldbody>
+    <body>
+      <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/><geom size="0.1" mass="1"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="x" ctrlrange="-1 1" ctrllimited="true"/><motor joint="y" ctrlrange="-1 1" ctrllimited="true"/>
+  </actuator>
 </mujoco>
 """
 
@@ -83,3 +99,35 @@ class Recall(Slider):
 
     def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
         return -((outcome["action"] - 0.5 * outcome["cue"]) ** 2)
+
+
+class Point(Bandit):
+    """The point of Finn et al. (2017): from the origin, by up to 0.1 a step, with the reward −distance from a goal."""
+
+    name = "point"
+    episode_length = 50
+    goals = ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5))
+
+    def load(self) -> mujoco.MjModel:
+        return mujoco.MjModel.from_xml_string(TABLE)
+
+    def training_tasks(self) -> TaskSet:
+        return task_set([Task(name=f"{x} {y}", target=x, params={"x": x, "y": y}) for x, y in self.goals])
+
+    def initial(self, key: jax.Array) -> Physics:
+        return Physics(0.01 * jax.random.normal(key, (2,)), jnp.zeros(2), jnp.zeros(2))
+
+    def actuate(self, physics: Physics, action: jax.Array) -> tuple[Physics, jax.Array]:
+        return replace(physics, qvel=0.1 * action / self.dt), jnp.zeros(2)
+
+    def observe(self, physics: Physics) -> jax.Array:
+        return physics.qpos
+
+    def outcome(self, motion: Motion) -> Outcome:
+        return {"action": motion.action[0], "x": motion.after.qpos[0], "y": motion.after.qpos[1]}
+
+    def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
+        return -jnp.hypot(outcome["x"] - task["x"], outcome["y"] - task["y"])
+
+    def terminated(self, physics: Physics) -> jax.Array:
+        return jnp.zeros((), bool)
