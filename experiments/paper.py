@@ -90,6 +90,7 @@ DIRECTIONS_BEYOND = tuple(
     between("extrapolation", *pair, *BETAS) for pair in (("0", "15"), ("120", "135"), ("270", "285"))
 )
 COMPOSED = tuple(between("composition", *pair, "--steps", "1000") for pair in (("walk", "stand"), ("run", "jump")))
+FRONT = Analysis("front", "front", ("--reward", "-velocity", "height"))
 COMPOSED_STILLS = tuple(
     stills(f"stills-{first}-{second}", first, second, "--beta", "0.7", "0.6", "0.5", "0.4")
     for first, second in (("walk", "stand"), ("run", "jump"))
@@ -112,7 +113,7 @@ TABLES = (
     Experiment(
         "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, variants=("", "+no-norm"))
     ),
-    Experiment("table-10", "composition", methods((RUN_JUMP,), EVALUATION, *COMPOSED)),
+    Experiment("table-10", "composition", methods((RUN_JUMP,), EVALUATION, *COMPOSED, FRONT)),
     Experiment("table-11", "mid-task interpolation, HalfCheetah-Vel", methods((CHEETAH,), INTERPOLATION)),
     Experiment("table-12", "mid-task interpolation, Hopper-Vel", methods((HOPPER,), INTERPOLATION)),
     Experiment("table-13", "mid-task interpolation, Walker-Vel", methods((WALKER,), INTERPOLATION)),
@@ -125,7 +126,9 @@ TABLES = (
 FIGURES = (
     Experiment("figure-2", "returns during training", methods(FAMILIES, agents=OFF_POLICY)),
     Experiment("figure-3", "stills of interpolated running", methods((CHEETAH,), STILLS), seeds=1),
-    Experiment("figure-4", "stills of composed motions", methods((RUN_JUMP,), *COMPOSED, *COMPOSED_STILLS), seeds=1),
+    Experiment(
+        "figure-4", "stills of composed motions", methods((RUN_JUMP,), *COMPOSED, *COMPOSED_STILLS, FRONT), seeds=1
+    ),
     Experiment(
         "figure-5",
         "adaptation to unseen tasks",

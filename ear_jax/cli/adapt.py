@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
-from ear_jax.cli.arguments import check_finite, check_least, option, parse
+from ear_jax.cli.arguments import check_finite, check_least, option, parse, shield
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, label_of, print_table, show_and_keep
 from ear_jax.embeddings import ltes
@@ -50,7 +50,7 @@ class AdaptCommand(OnRun):
 
 
 def main(words: list[str]) -> None:
-    command = parse(AdaptCommand, _shield(words), "adapt")
+    command = parse(AdaptCommand, shield(words), "adapt")
     _check(command)
     trained = command.load()
     if command.reward:
@@ -110,11 +110,6 @@ def _ask(command: AdaptCommand, trained: Trained) -> None:
         ltes.save(trained.directory, command.save, document["tasks"][0]["name"], codes, trained.fingerprint, "--reward")
     kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
     show_and_keep(document, command.json, _print_rewards, kept)
-
-
-def _shield(words: list[str]) -> list[str]:
-    """Puts a blank before words such as -abs(velocity), which would be read as options; no command has such options."""
-    return [f" {word}" if word.startswith("-") and word[1:2] != "-" and word != "-h" else word for word in words]
 
 
 def _check(command: AdaptCommand) -> None:

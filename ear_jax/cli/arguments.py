@@ -148,3 +148,8 @@ def _at_home(parsed: Parsed) -> Parsed:
         if isinstance(value := getattr(parsed, field.name), Path) and str(value).startswith("~")
     }
     return dataclasses.replace(parsed, **paths) if paths else parsed  # type: ignore[type-var]
+
+
+def shield(words: list[str]) -> list[str]:
+    """Puts a blank before words such as -abs(velocity), which would be read as options; no command has such options."""
+    return [f" {word}" if word.startswith("-") and word[1:2] != "-" and word != "-h" else word for word in words]

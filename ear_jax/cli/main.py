@@ -24,6 +24,7 @@ COMMANDS = {
     "imagine": ("ear_jax.cli.imagine", "learn from the replay what the robot would do under any LTE"),
     "follow": ("ear_jax.cli.follow", "follow a profile of speed or a path by LTEs that change with time"),
     "map": ("ear_jax.cli.map", "draw what the robot does under LTEs all over their sphere"),
+    "front": ("ear_jax.cli.front", "draw what two rewards trade against each other, under LTEs all over the sphere"),
     "explore": ("ear_jax.cli.explore", "make a web page on which you steer the robot by pointing at that sphere"),
     "lse": ("ear_jax.cli.lse", "compare the state embedding (LSE) along a gait with the raw state"),
     "plot": ("ear_jax.cli.plot", "draw the training curves of runs, with seeds as bands"),

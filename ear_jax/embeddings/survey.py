@@ -87,19 +87,31 @@ def play_survey(trained: Trained, places: int, seed: int) -> Survey:
       RunError: the episodes do not fit in memory.
     """
     check_sphere(trained)
-    program = trained.program
+    codes = spread_codes(places, trained.program.agent.code_size)
+    outcomes, lengths = record_codes(
+        trained, np.broadcast_to(codes, (trained.program.config.seeds, *codes.shape)), seed
+    )
+    return Survey(codes, outcomes, lengths)
+
+
+def record_codes(trained: Trained, codes: np.ndarray, seed: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Plays one episode under each code [seeds, places, code]; returns outcomes and lengths as `Survey` has them.
+
+    Raises:
+      RunError: the episodes do not fit in memory.
+    """
+    program, places = trained.program, codes.shape[1]
     family, agent, steps = program.family, program.agent, program.family.episode_length
     check_rollouts(program, program.config.seeds * places, steps, len(family.outcome_shapes))
-    codes = spread_codes(places, agent.code_size)
     tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], places), program.tasks.params)
 
-    def of_seed(policy: Params, key: jax.Array) -> tuple[Outcome, jax.Array]:
+    def of_seed(policy: Params, key: jax.Array, codes: jax.Array) -> tuple[Outcome, jax.Array]:
         begun, still = starts(family, tasks, key, 1), jnp.zeros((steps, places, 1, family.action_size))
-        outcome, playing = record_from(family, agent, policy, jnp.asarray(codes), begun, still)
+        outcome, playing = record_from(family, agent, policy, codes, begun, still)
         return jax.tree.map(lambda leaf: leaf[..., 0].T, outcome), jnp.sum(playing, axis=0)[:, 0]
 
-    outcomes, lengths = for_each_seed(trained, of_seed, seed)
-    return Survey(codes, {name: np.asarray(value, np.float32) for name, value in outcomes.items()}, lengths)
+    outcomes, lengths = for_each_seed(trained, of_seed, seed, jnp.asarray(codes))
+    return {name: np.asarray(value, np.float32) for name, value in outcomes.items()}, lengths
 
 
 def returns_of(survey: Survey, reward: Reward) -> np.ndarray:

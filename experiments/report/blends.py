@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from ear_jax.runs.statistics import interquartile_mean
-from experiments.paper import CHEETAH, COMPOSED, MET, RUN_JUMP, Analysis, numbers
+from experiments.paper import CHEETAH, COMPOSED, FRONT, MET, RUN_JUMP, Analysis, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.formatting import MISSING, NAMES, interval, lack, number, percent, printed, spread
 from experiments.report.measures import difference, unit
 from experiments.report.run_index import Run, RunIndex
 
+RUNNING = 1.0  # m/s backward, from which on a blend runs
 Column = Mapping[Any, str]  # a seed's cells by the key of their row
 
 
@@ -163,7 +164,24 @@ def composition(index: RunIndex) -> list[Block]:
                 blocks.append(_along_beta(run, run.document(analysis.name) or {}, composed["blends"]))
     if len(blocks) == 1:
         blocks.append(f"Ours: {lack(index.runs(RUN_JUMP))}.")
-    return blocks
+    return blocks + _both_at_once(index.runs(RUN_JUMP))
+
+
+def _both_at_once(runs: list[Run]) -> list[Block]:
+    """Tells how high the hind foot is held while running, at best, under LTEs all over the sphere."""
+    told = []
+    for run in runs:
+        for traded in run.of_seed(FRONT.name, "seeds"):
+            played = traded["rewards"]
+            ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
+            highest = max((height for speed, height in played if speed > RUNNING), default=0.0)
+            told.append(
+                f"seed {run.seed}: {number(highest, 2)} m at most among {len(played):,} LTEs, "
+                f"{number(sum(ends) / 2, 2)} m is the mean of run and jump"
+            )
+    if not told:
+        return []
+    return [f"Height of the hind foot while running backward at more than {RUNNING:g} m/s, {'; '.join(told)}."]
 
 
 def _along_beta(run: Run, document: dict[str, Any], blends: list[dict[str, Any]]) -> Table:

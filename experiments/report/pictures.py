@@ -10,11 +10,12 @@ from typing import Any
 from ear_jax.embeddings.map import PLACES
 from ear_jax.embeddings.search import Search
 from ear_jax.figures.compose import draw_compose
+from ear_jax.figures.front import draw_front
 from ear_jax.figures.lse import draw_lse
 from ear_jax.figures.map import draw_map
 from ear_jax.files.replacing import copy_file, folder
 from ear_jax.presets import preset_config
-from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, RUN_JUMP, STILLS, Analysis
+from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, FRONT, RUN_JUMP, STILLS, Analysis
 from experiments.report.blocks import Block, Picture, Table
 from experiments.report.figures import Lines, adaptation_curves, draw_panels, task_curves, training_curves
 from experiments.report.formatting import NAMES, label, number
@@ -149,7 +150,8 @@ def composed(id: str, index: RunIndex, out: Path) -> list[Block]:
     runs = index.runs(RUN_JUMP)
     strips = [block for analysis in COMPOSED_STILLS for block in _strips(runs, analysis, out)]
     figures = [block for analysis in COMPOSED for block in _drawn(runs, analysis.name, caption, draw_compose, out)]
-    return strips + figures
+    traded = "Backward speed (m/s) and height of the hind foot (m) under LTEs all over the sphere"
+    return strips + figures + _drawn(runs, FRONT.name, traded, draw_front, out)
 
 
 def sensory(id: str, index: RunIndex, out: Path) -> list[Block]:

@@ -33,6 +33,8 @@ def few(monkeypatch) -> None:
         (["adapt", "RUN", "--reward", "velocity", "velocity"], "is given twice"),
         (["imagine", "RUN", "--discount", "1"], "--discount 1 is out of range; it must be from 0 to below 1"),
         (["imagine", "RUN", "--cells", "1"], "--cells 1 is too small"),
+        (["front", "RUN", "--reward", "velocity"], 'name two rewards, as in --reward "-velocity" height, not 1'),
+        (["front", "RUN", "--reward", "-velocity", "hight"], "unknown outcome 'hight'"),
         (["follow", "RUN"], "give one of --profile SECONDS:VALUE,... and --path X Y,..."),
         (["follow", "RUN", "--profile", "0:1, 3"], "'3' is not seconds:value"),
         (["follow", "RUN", "--path", "1 0"], "does not move freely on the floor; give --profile"),
@@ -57,6 +59,19 @@ def test_a_reward_is_answered_saved_and_used(finished, few, capsys):
     assert (saved["task"], saved["asked_by"]) == ("-abs(velocity-1)", "--reward")
     assert main(["interpolate", str(finished), "--between", "1", "slow"]) == 2
     assert "'slow' has no target velocity to interpolate" in capsys.readouterr().err
+
+
+def test_a_trade_off_is_drawn(finished, few, capsys):
+    words = ["front", str(finished), "--reward", "-velocity", "-squared_action", "--json"]
+    assert main(words) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["rewards"] == ["-velocity", "-squared_action"]
+    assert [len(seed["rewards"]) for seed in document["seeds"]] == [12, 12]
+    assert [len(seed["trained"]) for seed in document["seeds"]] == [2, 2]
+    assert main(words[:-1]) == 0
+    text = capsys.readouterr().out
+    assert "LTEs on the front, of 12 played" in text
+    assert len(list((finished / "figures").glob("front_*_seed*.png"))) == 2
 
 
 @pytest.mark.slow
