@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+import ear_jax
 from ear_jax.errors import UsageError, in_order, known_name, nearest, plain, unknown
 
 SPEEDS = [f"vel-{speed}" for speed in range(1, 11)]
@@ -52,3 +53,8 @@ def test_case_is_ignored_unless_it_tells_two_names_apart():
 
 def test_control_characters_are_spelt_out():
     assert plain("β [/x] \x1b[31m\n\udcff") == "β [/x] \\x1b[31m\\n\\udcff"
+
+
+def test_an_unknown_name_of_the_package_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'ear_jax' has no attribute 'trian_run'"):
+        ear_jax.trian_run  # noqa: B018

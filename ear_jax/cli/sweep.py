@@ -128,10 +128,8 @@ def draw(figures: Path, document: dict[str, Any], label: str) -> list[Path]:
 
 def read(words: list[str]) -> tuple[SweepCommand, list[Trial]]:
     """Parses the command line; each trial's settings are parsed as if the line had named its values."""
-    command = train.read(words, SweepCommand, "sweep", train.meet)
+    command = train.read(words, SweepCommand, "sweep", _meet)
     check_least(command, cores=1)
-    if command.on == "ray" and command.hosts != Hosts():
-        raise UsageError("--on ray spreads runs over hosts by itself; leave out --hosts")
     rest = list(_without("--vary", words))
     if not command.vary:
         raise UsageError("name a setting to vary: ear sweep FAMILY --vary SETTING VALUE … (see `ear sweep --help`)")
@@ -153,6 +151,12 @@ def read(words: list[str]) -> tuple[SweepCommand, list[Trial]]:
     if len({trial.config for trial in trials}) < len(trials):
         raise UsageError("--vary names a value twice")
     return command, trials
+
+
+def _meet(command: SweepCommand) -> None:
+    if command.on == "ray" and command.hosts != Hosts():
+        raise UsageError("--on ray spreads runs over hosts by itself; leave out --hosts")
+    train.meet(command)
 
 
 def _check_setting(name: str, values: Sequence[str], settings: dict[str, Any], rest: Sequence[str]) -> None:

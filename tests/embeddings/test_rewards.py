@@ -10,10 +10,11 @@ import pytest
 from ear_jax.config import Config
 from ear_jax.embeddings import rewards, survey
 from ear_jax.embeddings.imagine import Imagined, best_imagined
+from ear_jax.embeddings.kept import read_kept, write_kept
 from ear_jax.embeddings.rewards import adapt_to_rewards
 from ear_jax.embeddings.search import Search
 from ear_jax.embeddings.survey import find_survey
-from ear_jax.errors import UsageError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.learning.measure import MeasureConfig, late_in_episode, learn_measure, make_measure, partition
 from ear_jax.learning.replay import Experience
 from ear_jax.runs.trained import Trained
@@ -72,6 +73,18 @@ def test_a_survey_that_is_damaged_or_anothers_is_played_again(toy, capsys):
     other = Trained("other", toy.program, toy.policies + 1, 0, toy.directory)
     assert find_survey(other, PLACES, 0)[1] == PLACES * 4
     assert capsys.readouterr().err.count("the sphere is surveyed again") == 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "shape", "complaint"),
+    [("ear_jax survey 0", (3,), "is not of the format ear_jax survey 0"), ("kept", (4,), "is of another family")],
+)
+def test_what_was_kept_for_something_else_is_named(toy, kind, shape, complaint):
+    path = toy.directory / "kept.safetensors"
+    write_kept(path, {"numbers": np.zeros(3, np.float32)}, toy, "kept")
+    assert read_kept(path, {"numbers": (3,)}, toy, "kept")["numbers"].shape == (3,)
+    with pytest.raises(RunError, match=complaint):
+        read_kept(path, {"numbers": shape}, toy, kind)
 
 
 def test_a_reward_that_is_not_finite_is_one_line(toy):

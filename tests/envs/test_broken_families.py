@@ -54,6 +54,14 @@ BROKEN = [
     ({"load": never}, r"its constructor fails: ValueError: never \(test_broken_families\.py, line \d+, in never\)$"),
     ({"load": lambda self: None}, r"load\(\) must return a mujoco\.MjModel, not a NoneType"),
     ({"load": Family.load, "model_file": "hoper.xml"}, r"unknown model 'hoper\.xml'; did you mean 'hopper\.xml'"),
+    (
+        {
+            "load": lambda self: mujoco.MjModel.from_xml_string(
+                re.sub("<actuator>.*</actuator>", "", SLIDER, flags=re.S)
+            )
+        },
+        r"the model has no actuators",
+    ),
     ({"bodies": ("foot",)}, r"unknown body 'foot'.* \(there are: .*world\)"),
     ({"training_tasks": never}, r"training_tasks\(\) fails: ValueError: never"),
     ({"training_tasks": lambda self: []}, r"training_tasks\(\) must return a task_set\(…\), but returns .* list"),

@@ -20,6 +20,8 @@ from brax.envs.wrappers.training import wrap
 from ear_jax.cli.main import main
 from ear_jax.envs import FAMILIES, make_family
 from ear_jax.envs.validation import check_class, check_family
+from ear_jax.errors import RunError
+from ear_jax.physics import sawyer
 from ear_jax.physics.sawyer import load_arm, reach_model_path
 from ear_jax.presets import preset_config
 from ear_jax.runs.training import make_program
@@ -212,3 +214,9 @@ def test_without_metaworld_one_line_says_what_to_install(monkeypatch, capsys):
     assert line in capsys.readouterr().err
     assert main(["families"]) == 0
     assert f"reach is not available here: {line}" in capsys.readouterr().out
+
+
+def test_a_metaworld_without_the_scene_is_told_in_one_line(monkeypatch, tmp_path):
+    monkeypatch.setattr(sawyer, "package_directory", lambda name: tmp_path)
+    with pytest.raises(RunError, match=r"the installed 'metaworld' has no sawyer_reach_v3\.xml: pip install"):
+        sawyer.reach_model_path()

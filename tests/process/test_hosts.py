@@ -47,6 +47,17 @@ def test_slurm_names_the_processes(tasks, devices, monkeypatch):
     assert hosts._scheduled() == (("node07", 65535 - 4095), 4, 2, devices)
 
 
+def test_a_port_in_use_is_told_in_one_line(monkeypatch):
+    monkeypatch.setattr(hosts, "_joined", None)
+    with socket.create_server(("", 0)) as taken:
+        named = hosts.Hosts(f"localhost:{taken.getsockname()[1]}", 2, 0)
+        with pytest.raises(
+            RunError, match=r"the 2 processes did not meet at localhost:\d+: .*[Aa]ddress already in use"
+        ):
+            hosts.join(named)
+    assert hosts.count() == 1
+
+
 def test_seeds_are_spread_evenly_over_hosts(monkeypatch):
     monkeypatch.setattr(hosts, "_joined", hosts._Joined(0, 3, Relay(pytest.fail), iter(())))
     check_seeds(6)

@@ -312,3 +312,10 @@ def test_a_mistake_gets_one_clear_line_and_leaves_nothing(run, words, complaint,
     assert complaint in streams.err
     assert (streams.err.count("\n"), streams.out) == (1, "")
     assert sorted(run.rglob("*")) == before
+
+
+def test_without_a_library_for_opengl_one_line_says_so(monkeypatch):
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
+    with pytest.raises(RunError, match="neither EGL nor OSMesa is installed"):
+        Canvas(load_model("hopper.xml"), 64, 64)

@@ -104,6 +104,9 @@ def test_what_the_page_cannot_compute_is_named():
     for function, words in (
         (jnp.linalg.inv, "JAX's operation '"),
         (lambda x: x[0, x[1, 0].astype(int)], "at a place that varies"),
+        (lambda x: jnp.einsum("bi,bi->b", x, x + 1), "products of batches of matrices"),
+        (lambda x: jnp.take(x, jnp.array([9]), mode="fill", fill_value=0.5), "from outside an array"),
+        (lambda x: x.at[jnp.array([9])].get(mode="fill"), "from outside an array"),
     ):
         with pytest.raises(UsageError, match=words):
             translate(function, Constants(), jnp.eye(3))

@@ -106,6 +106,12 @@ def test_overlap_needs_native_and_replay():
         collects_on_host(training.make_program(overlapping(preset_config("halfcheetah-vel", "smoke", "maml"))))
 
 
+def test_on_an_accelerator_a_method_without_replay_needs_mjx(monkeypatch):
+    monkeypatch.setattr("ear_jax.runs.on_host.on_accelerator", lambda: True)
+    with pytest.raises(UsageError, match="--engine native cannot train agent maml on an accelerator; use mjx"):
+        collects_on_host(training.make_program(preset_config("halfcheetah-vel", "smoke", "maml")))
+
+
 def test_the_faster_engine_is_taken_and_told():
     seconds = step_seconds(tiny_config(), "native")
     assert 0 < seconds < 1

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -16,7 +17,8 @@ import pytest
 
 from ear_jax.cli.main import main
 from ear_jax.config import CheckpointConfig, Config
-from ear_jax.runs import checkpoint, loop, records
+from ear_jax.errors import RunError
+from ear_jax.runs import checkpoint, loop, on_ray, records
 from ear_jax.runs.loop import train_run
 from tests.helpers.raylets import two_nodes
 from tests.helpers.runs import step_arrays, sweep_words, tiny_config, words
@@ -145,6 +147,21 @@ def test_a_sweep_on_the_cluster_is_told_like_one_here(cluster, tmp_path):
     document = json.loads(done.stdout)
     assert {trial["name"] for trial in document["trials"]} == {"sac.lr=1e-3", "sac.lr=1e-4"}
     assert all(len(trial["seeds"]) == 2 and trial["failed"] is None for trial in document["trials"])
+
+
+def test_a_cluster_out_of_reach_is_told_in_one_line():
+    def init(**_: object) -> None:
+        raise ConnectionError("no such address\n(many more lines)")
+
+    connected = on_ray._connected(types.SimpleNamespace(init=init))
+    with pytest.raises(RunError, match=r"^Ray cannot start or be reached: ConnectionError: no such address$"), connected:
+        pass
+
+
+def test_runs_that_failed_are_named_with_what_they_said():
+    on_ray.check({}, Path("logs"))
+    with pytest.raises(RunError, match=r"^2 runs failed: a: full; b: killed \(all they said is in logs\)$"):
+        on_ray.check({"a": "full", "b": "killed"}, Path("logs"))
 
 
 def test_without_ray_one_line_names_the_extra(tmp_path, capsys, monkeypatch):

@@ -15,6 +15,7 @@ import yaml
 
 from ear_jax import pretrained
 from ear_jax.cli.main import main
+from ear_jax.errors import RunError
 from ear_jax.methods import METHODS, Sizes, make_agent
 from ear_jax.presets import draft_config
 from ear_jax.rendering.live.programs import Constants, translate
@@ -105,6 +106,22 @@ def test_onnx_that_is_absent_is_one_line_before_anything_is_loaded(monkeypatch, 
     monkeypatch.setitem(sys.modules, "onnx", None)
     assert main(["export", "pretrained:hopper-vel", str(tmp_path / "policy.onnx")]) == 1
     assert capsys.readouterr().err == "ear: ONNX needs packages that are not installed: pip install 'ear-jax[onnx]'\n"
+
+
+def test_an_operation_that_onnx_lacks_is_named():
+    pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    program = translate(jnp.arctan2, constants := Constants(), jnp.zeros(2), jnp.zeros(2))
+    with pytest.raises(RunError, match="cannot be written as ONNX: it uses JAX's operation 'atan2'"):
+        to_onnx(program, np.concatenate([np.zeros(0, np.float32), *constants.arrays]), {})
+
+
+def test_a_file_that_would_act_otherwise_is_not_written(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    monkeypatch.setattr("ear_jax.runs.onnx.run_onnx", lambda model, ltes, obs: [np.full((len(obs), 3), 2.0)])
+    file = tmp_path / "policy.onnx"
+    assert main(["export", "pretrained:hopper-vel", str(file)]) == 1
+    assert "is not written: actions of onnxruntime and JAX differ by" in capsys.readouterr().err
+    assert not file.exists()
 
 
 def front_matter(text: str) -> dict:

@@ -135,6 +135,7 @@ def test_the_command_trains_every_combination_and_tells_the_best_first(tmp_path,
         ("--vary sac.lr 1e-3 2", "at most 1"),
         ("--vary sac.lr 1e-3 1e-4 --agent maml", "would change nothing"),
         ("--vary sac.lr 1e-3 1e-4 --vary sac.lr 1 2", "given twice"),
+        ("--vary sac.lr 1e-3 1e-4 --on ray --hosts.count 2", "--on ray spreads runs over hosts by itself"),
     ],
 )
 def test_a_mistake_is_told_in_one_line(vary, complaint, capsys, tmp_path, monkeypatch):

@@ -181,6 +181,8 @@ class _Program:
             indices.append(np.arange(first, first + _array(atom).size, dtype=np.int32).reshape(_array(atom).shape))
             first += _array(atom).size
         slots = [self.held(value) for value in data]
+        if equation.params.get("fill_value") is not None:  # of numbers from outside; no position stands for one
+            equation = equation.replace(params={**equation.params, "fill_value": -1})
         moved = _computed(equation, [*indices, *operands[len(data) :]])
         return [self._taken(slots, index) for index in moved]
 
