@@ -1,4 +1,4 @@
-"""What two rewards trade against each other all over the LTE sphere."""
+"""Trade-offs of two rewards all over the LTE sphere, and their Pareto fronts."""
 
 from __future__ import annotations
 
