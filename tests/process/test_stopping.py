@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,15 @@ from ear_jax.process.stopping import StopRequest
 from ear_jax.runs.lock import lock_directory
 
 HERE = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+
+
+@pytest.fixture(autouse=True)
+def _heard() -> Iterator[None]:
+    """Lets processes that tests start hear Ctrl-C, which a shell's background job would have them ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
 
 BUSY = """
 import hashlib, signal
@@ -31,6 +41,7 @@ with StopRequest(lambda line: print(line, flush=True)):
 
 HOLDER = """
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from ear_jax.runs.lock import lock_directory
 with lock_directory(Path(sys.argv[1]), print):
@@ -91,7 +102,6 @@ def test_in_a_thread_signals_are_left_alone():
 SWALLOWS = """
 import os, signal
 from ear_jax.cli import main
-signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where a shell started the tests in the background
 def swallow(*_):
     try:
         os.kill(os.getpid(), signal.SIGINT)
