@@ -154,7 +154,7 @@ def test_a_cluster_out_of_reach_is_told_in_one_line():
         raise ConnectionError("no such address\n(many more lines)")
 
     connected = on_ray._connected(types.SimpleNamespace(init=init))
-    with pytest.raises(RunError, match=r"^Ray cannot start or be reached: ConnectionError: no such address$"), connected:
+    with pytest.raises(RunError, match=r"^Ray cannot start or be reached: .*no such address$"), connected:
         pass
 
 
