@@ -38,7 +38,7 @@ def _draw(path: Path, entry: dict[str, Any], rewards: list[str]) -> Path:
         axes.plot(*front.T, "o", markersize=3, color=colour)
         axes.plot(*trained.T, "x", markersize=5, color="black", label="LTE of a training task")
         for place, names in _named(trained, [plain(task["name"]) for task in entry["trained"]], np.ptp(played, axis=0)):
-            axes.annotate(names, place, (3, 3), textcoords="offset points", fontsize=6)
+            axes.annotate(names, tuple(place), (3, 3), textcoords="offset points", fontsize=6)
         axes.set(xlabel=f"{plain(rewards[0])}, mean a step", ylabel=f"{plain(rewards[1])}, mean a step")
         axes.legend(fontsize=7)
         return save_figure(figure, path)
