@@ -29,7 +29,7 @@ from ear_jax.tasks import TaskParams
 class Trial:
     """Episodes of one task from random starts, and the distributions their actions were drawn from."""
 
-    obs: jax.Array  # [steps, episodes, obs]
+    obs: jax.Array  # [steps, episodes, obs], 0 where not valid
     raw: jax.Array  # [steps, episodes, act], actions before tanh; the name stays, checkpoints store leaves by it
     behaviour: Gaussian  # the distributions of `raw`, each leaf [steps, episodes, act]
     advantage: jax.Array  # [steps, episodes]
@@ -180,6 +180,7 @@ class MamlLearner:
             obs, outcome, ended, finite = played  # each [steps, episodes, …]
             playing = first_episode(ended)
             valid = finite & playing
+            obs = jnp.where(valid[..., None], obs, 0.0)  # what is not finite would spoil gradients even where masked
             reward = jax.vmap(jax.vmap(family.reward, in_axes=(0, None)), in_axes=(0, None))(outcome, task)
             behaviour = jax.vmap(jax.vmap(lambda obs: self.agent.distribution(policy, code, obs)))(obs)
             raw = behaviour.mean + jnp.exp(behaviour.log_std) * noise

@@ -19,6 +19,7 @@ from ear_jax.methods import Sizes, find_method, make_agent
 from ear_jax.presets import preset_config
 from tests.helpers.bandit import bandit_program
 from tests.helpers.probe import Point
+from tests.runs.test_failure import Poisoned
 
 
 def test_returns_to_go_end_with_the_episode():
@@ -113,6 +114,32 @@ def test_a_trial_is_the_first_episode_of_each_environment():
     action = jnp.tanh(trials.raw[:, 0, :, 0])
     np.testing.assert_allclose(returns, -((action - jnp.array([[-0.5], [0.5]])) ** 2), atol=1e-5)
     assert invalid == 0
+
+
+class Breaks(Poisoned):
+    """A Slider whose physics breaks in episodes that start past the middle."""
+
+    limit = 0.5
+
+
+def test_an_episode_that_breaks_counts_until_then_and_spoils_nothing():
+    program = bandit_program("maml", Breaks)
+    config = replace(program.config, collect=replace(program.config.collect, envs=6, steps=8))
+    learner = replace(program.learner, config=config)
+    policy = learner.init(jax.random.key(0)).policy
+
+    @jax.jit
+    def tuned(key: jax.Array) -> tuple[Trial, jax.Array, jax.Array, jax.Array]:
+        trials, returns, invalid = learner.play(policy, policy["codes"], program.tasks.params, key)
+        return trials, returns, invalid, learner.tune(policy, policy["codes"], trials)
+
+    trials, returns, invalid, codes = tuned(jax.random.key(1))
+    broken = ~np.asarray(trials.valid)[:, -1]
+    assert invalid == broken.sum() > 0
+    assert not broken.all()
+    np.testing.assert_array_equal(returns == 0, broken)
+    assert np.isfinite(codes).all()
+    assert codes.any()
 
 
 @pytest.mark.slow
