@@ -22,7 +22,7 @@ class FrontCommand(OnRun):
     The Pareto front are the LTEs that no other one beats in both. The sphere is surveyed once, as for `ear adapt
     --reward`.
 
-    Example: ear front pretrained:halfcheetah-run-jump --reward "-velocity" height
+    Example: ear front pretrained:halfcheetah-run-jump --reward "abs(velocity)" height
     """
 
     reward: Annotated[tuple[str, ...], option("EXPR EXPR")] = ()
