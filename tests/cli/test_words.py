@@ -25,7 +25,7 @@ MISTAKES = {
     "xyzzy": "unknown command 'xyzzy' (there are: adapt",
     "evaluate nowhere": "nowhere is not a run directory",
     "evaluate pretrained:Hoper-Vel": "did you mean 'hopper-vel'?",
-    "evaluate pretrained:hopper-vel --engine cuda": "unknown engine 'cuda' (there are: auto, mjx, mjx-fixed, native, warp)",
+    "evaluate pretrained:hopper-vel --engine cuda": "'cuda' (there are: auto, mjx, mjx-fixed, native, warp)",
     "evaluate pretrained:hopper-vel --episode 3": "unknown option --episode; did you mean --episodes?",
     "evaluate pretrained:hopper-vel -episodes 3": "unknown option -episodes; did you mean --episodes?",
     "evaluate pretrained:hopper-vel --episodes 1.5": "--episodes takes a whole number, not '1.5'",
