@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 
+from ear_jax.files.replacing import replace_file
 from ear_jax.process.target import on_accelerator
 
 
@@ -43,6 +44,22 @@ def enable_cache() -> None:
     # XLA's own caches would put their path into the key of every program, so that a cache that is carried elsewhere
     # would be of no use. The choices they keep are in the programs too.
     jax.config.update("jax_persistent_cache_enable_xla_caches", "none")
+    replace_entries_whole()
+
+
+def replace_entries_whole() -> None:
+    """Makes JAX write an entry of its cache as all files here are written.
+
+    JAX writes in place and never again, so a process that is killed then, or read by another, would leave half an
+    entry: a warning and a compilation at every start.
+    """
+    from jax._src.lru_cache import _CACHE_SUFFIX, LRUCache  # JAX has no public name for it
+
+    def put(cache: LRUCache, key: str, value: bytes) -> None:
+        with replace_file(Path(cache.path) / f"{key}{_CACHE_SUFFIX}") as scratch:
+            scratch.write_bytes(value)
+
+    LRUCache.put = put  # type: ignore[assignment, method-assign]
 
 
 def compiler_options(matmul: str = "float32") -> dict[str, Any]:

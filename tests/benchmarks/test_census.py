@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections import Counter
 from functools import partial
 
@@ -128,6 +129,9 @@ def last_rows():
 
 @pytest.mark.slow
 @pytest.mark.skipif(census.missing() is not None, reason=str(census.missing()))
+@pytest.mark.skipif(
+    os.environ.get("JAX_PLATFORMS") != "cpu", reason="the census needs JAX_PLATFORMS=cpu from the start"
+)
 @pytest.mark.parametrize(
     ("program", "engine"), [("learn", "native"), ("collect", "mjx"), ("evaluate", "mjx"), ("collect", "mjx-fixed")]
 )
