@@ -99,9 +99,8 @@ def count(text: str, what: str = "learn", rounds: int = 1) -> dict[str, Any]:
       rounds: how often a loop goes round whose number of iterations depends on data.
 
     Returns:
-      `kernels`, `matmuls`, `traffic_mb`, `scatters` (which add in any order), `parts` (kernels by
-      part), and `host_reads`: loops in an iteration whose end
-      the host has to read from the device, each time round.
+      `kernels`, `matmuls`, `traffic_mb`, `scatters` (which add in any order), `parts` (kernels by part), and
+      `host_reads`: loops in an iteration whose end the host has to read from the device, each time round.
     """
     module = hlo.parse(text)
     outer = [loop.called("body") for loop in module.loops(module.entry)]

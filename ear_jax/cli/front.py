@@ -19,7 +19,7 @@ SHOWN = 12  # LTEs of a front that are printed at most
 class FrontCommand(OnRun):
     """Draw what two rewards trade against each other, under task embeddings (LTEs) all over their sphere.
 
-    The Pareto front are the LTEs that no other one beats in both. The sphere is surveyed once, as for `ear adapt
+    The Pareto front consists of the LTEs that no other beats in both. The sphere is surveyed once, as for `ear adapt
     --reward`.
 
     Example: ear front pretrained:halfcheetah-run-jump --reward "abs(velocity)" height

@@ -25,7 +25,8 @@ def trade(trained: Trained, rewards: Sequence[Reward | str], seed: int = 0, plac
       places: number of codes of the survey.
 
     Returns:
-      The document that `ear front --json` prints. Rewards are means a step over the second half of an episode.
+      The document that `ear front --json` prints. Rewards are means a step over the second half of an episode;
+      `env_steps` are the survey's, 0 if it was kept.
 
     Raises:
       UsageError: there are not two rewards, one has a mistake or is not finite, or the agent has no LTE sphere.

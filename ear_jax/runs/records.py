@@ -3,8 +3,7 @@
 A run directory holds `config.json` (settings, tasks, machine, versions, commit), `metrics.jsonl` (a row per seed and
 block), the documents of analyses, named by their options (`evaluation.json`, `interpolation.json`, `adaptation.json`,
 `composition.json`, `map.json`, `front.json`, `imagination.json`, `following.json`, `lse.json`), `ltes.json` (named
-LTEs),
-`survey….safetensors` and `imagined.safetensors` (of the sphere of LTEs, for later analyses), `checkpoints/`,
+LTEs), `survey….safetensors` and `imagined.safetensors` (of the sphere of LTEs, for later analyses), `checkpoints/`,
 `figures/`, `videos/`, the `lock` of the process that trains it, and `failure.json` if a metric was not finite.
 """
 

@@ -169,19 +169,17 @@ def composition(index: RunIndex) -> list[Block]:
 
 def _both_at_once(runs: list[Run]) -> list[Block]:
     """Tells how high the hind foot is held while running, at best, under LTEs all over the sphere."""
-    told = []
+    told: list[Block] = []
     for run in runs:
         for traded in run.of_seed(FRONT.name, "seeds"):
-            played = traded["rewards"]
             ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
-            highest = max((height for speed, height in played if speed > RUNNING), default=0.0)
+            heights = [height for speed, height in traded["rewards"] if speed > RUNNING]
             told.append(
-                f"seed {run.seed}: {number(highest, 2)} m at most among {len(played):,} LTEs, "
-                f"{number(sum(ends) / 2, 2)} m is the mean of run and jump"
+                f"Seed {run.seed}: of {len(traded['rewards']):,} LTEs, {len(heights):,} run backward faster than "
+                f"{RUNNING:g} m/s. They hold the hind foot at {number(max(heights, default=0.0), 2)} m at most; the mean of run and "
+                f"jump is {number(sum(ends) / 2, 2)} m."
             )
-    if not told:
-        return []
-    return [f"Height of the hind foot while running backward at more than {RUNNING:g} m/s, {'; '.join(told)}."]
+    return told
 
 
 def _along_beta(run: Run, document: dict[str, Any], blends: list[dict[str, Any]]) -> Table:

@@ -129,9 +129,7 @@ def last_rows():
 
 @pytest.mark.slow
 @pytest.mark.skipif(census.missing() is not None, reason=str(census.missing()))
-@pytest.mark.skipif(
-    os.environ.get("JAX_PLATFORMS") != "cpu", reason="the census needs JAX_PLATFORMS=cpu from the start"
-)
+@pytest.mark.skipif(os.environ.get("JAX_PLATFORMS") != "cpu", reason="without JAX_PLATFORMS=cpu the plugin needs a GPU")
 @pytest.mark.parametrize(
     ("program", "engine"), [("learn", "native"), ("collect", "mjx"), ("evaluate", "mjx"), ("collect", "mjx-fixed")]
 )

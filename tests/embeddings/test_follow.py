@@ -24,22 +24,7 @@ from ear_jax.physics import Physics
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
 from tests.helpers.obedient import CODES, obedient
-from tests.helpers.probe import Bandit
-
-TWO_MOTORS = """
-<mujoco>
-  <option timestep="0.05" gravity="0 0 0"/>
-  <worldbody>
-    <body>
-      <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/>
-      <geom size="0.1" mass="1"/>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor joint="x" ctrlrange="-1 1" ctrllimited="true"/><motor joint="y" ctrlrange="-1 1" ctrllimited="true"/>
-  </actuator>
-</mujoco>
-"""
+from tests.helpers.probe import TABLE, Bandit
 
 
 class Puck(Bandit):
@@ -48,7 +33,7 @@ class Puck(Bandit):
     commanded, plane = "velocity_x", ("velocity_x", "velocity_y")
 
     def load(self):
-        return mujoco.MjModel.from_xml_string(TWO_MOTORS)
+        return mujoco.MjModel.from_xml_string(TABLE)
 
     def initial(self, key):
         return Physics(jnp.zeros(2), jnp.zeros(2), jnp.zeros(2))

@@ -23,7 +23,7 @@ SLIDER = """
 
 TABLE = """
 <mujoco>
-  <option timestep="0.01" gravity="0 0 0"/>
+  <option timestep="0.05" gravity="0 0 0"/>
   <worldbody>
     <body>
       <joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 1 0"/><geom size="0.1" mass="1"/>

@@ -41,7 +41,6 @@ with StopRequest(lambda line: print(line, flush=True)):
 
 HOLDER = """
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from ear_jax.runs.lock import lock_directory
 with lock_directory(Path(sys.argv[1]), print):
