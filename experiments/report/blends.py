@@ -176,8 +176,8 @@ def _both_at_once(runs: list[Run]) -> list[Block]:
             heights = [height for speed, height in traded["rewards"] if speed > RUNNING]
             told.append(
                 f"Seed {run.seed}: of {len(traded['rewards']):,} LTEs, {len(heights):,} run backward faster than "
-                f"{RUNNING:g} m/s. They hold the hind foot at {number(max(heights, default=0.0), 2)} m at most; the mean of run and "
-                f"jump is {number(sum(ends) / 2, 2)} m."
+                f"{RUNNING:g} m/s. They hold the hind foot at {number(max(heights, default=0.0), 2)} m at most; the "
+                f"mean of run and jump is {number(sum(ends) / 2, 2)} m."
             )
     return told
 

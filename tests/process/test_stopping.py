@@ -143,6 +143,7 @@ print("saved", flush=True)
 """
 
 
+@pytest.mark.filterwarnings("ignore:os.fork")  # JAX warns of it, but the child replaces itself at once
 @pytest.mark.parametrize("stderr", ["a pipe without a reader", "a full disk", "closed"])
 def test_that_nobody_reads_what_a_run_says_does_not_end_it(stderr):
     reader, writer = os.pipe()
@@ -161,6 +162,7 @@ def test_that_nobody_reads_what_a_run_says_does_not_end_it(stderr):
     assert (process.returncode, output) == (0, "saved\n")
 
 
+@pytest.mark.filterwarnings("ignore:os.fork")  # JAX warns of it, but the child replaces itself at once
 def test_a_closed_stream_leaves_its_number_to_no_file(tmp_path):
     code = (
         "from ear_jax.process.streams import open_streams as go; go(); import os, sys;"
