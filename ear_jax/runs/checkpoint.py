@@ -14,6 +14,7 @@ import os
 import re
 import shutil
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,6 +63,7 @@ def _checkpointer(ocp: Any) -> Any:
 __all__ = ["FOLDER", "steps"]  # used as `checkpoint.…`
 FORMAT = 1
 KEEP = 2  # number of newest steps to keep
+REMOVALS = 20  # number of attempts to remove a directory
 ROWS = "metrics.jsonl"
 
 
@@ -156,9 +158,18 @@ def _remove(path: Path) -> None:
         _remove(aside)
         os.replace(path, aside)
     if aside.is_dir() and not aside.is_symlink():
-        shutil.rmtree(aside)
+        _remove_tree(aside)
     else:
         aside.unlink(missing_ok=True)
+
+
+def _remove_tree(path: Path) -> None:
+    """Removes a directory, to which writes that Orbax abandoned in this process may add files for a while."""
+    for attempt in range(1, REMOVALS + 1):
+        shutil.rmtree(path, ignore_errors=attempt < REMOVALS)
+        if not path.exists():
+            return
+        time.sleep(0.05)
 
 
 def kept(epochs: Sequence[int]) -> list[int]:

@@ -192,9 +192,8 @@ def test_killed_at_any_change_a_step_is_whole_or_absent(state, tmp_path):
     checkpoint.save(tmp_path, 2, small, {})
 
     def prepare() -> None:
-        for path in tmp_path.iterdir():
-            if path.name != "2":
-                shutil.rmtree(path)
+        checkpoint.clean(tmp_path)
+        shutil.rmtree(tmp_path / "4", ignore_errors=True)
 
     for _ in each_kill(prepare, lambda: checkpoint.save(tmp_path, 4, small, {}, "{}\n")):
         assert newest(tmp_path)[1] == []
@@ -205,6 +204,21 @@ def test_killed_at_any_change_a_step_is_whole_or_absent(state, tmp_path):
         checkpoint.save(tmp_path, 4, small, {})
         assert newest(tmp_path) == (4, [])
         assert sorted(path.name for path in tmp_path.iterdir()) == ["2", "4"]
+
+
+def test_what_a_killed_save_left_is_removed_while_abandoned_writes_add_to_it(tmp_path, monkeypatch):
+    rmtree, late = shutil.rmtree, ["state/d/1", "state/d/2", "state/3"]
+
+    def with_late_writes(path: Path, ignore_errors: bool) -> None:
+        rmtree(path)
+        if late:
+            records.write_text(path / late.pop(), "late")
+
+    records.write_text(tmp_path / ".4.part" / "state" / "0", "early")
+    monkeypatch.setattr(shutil, "rmtree", with_late_writes)
+    checkpoint.clean(tmp_path)
+    assert not any(tmp_path.iterdir())
+    assert not late
 
 
 @stray_writes
