@@ -17,7 +17,6 @@ from xdist.scheduler import LoadScopeScheduling
 
 from ear_jax.config import Config
 from ear_jax.errors import RunError, UsageError
-from ear_jax.process.runtime import replace_entries_whole
 from ear_jax.runs import loop
 from ear_jax.runs.loop import train_run
 from experiments import inventory
@@ -68,10 +67,10 @@ def _compiling(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Compiled programs are shared between the processes of the tests; EAR_JAX_TEST_CACHE keeps them for later ones.
 
     What they compute runs once or twice, so XLA spends no time on making it fast. Processes that tests start compile
-    as a user's do, but for those started as `tests.helpers.quick`.
+    nearly as a user's do, but for those started as `tests.helpers.quick`, and `ear train` in tests/cli/test_cli.py does
+    so wholly.
     """
     compile_quickly()
-    replace_entries_whole()
     base = tmp_path_factory.getbasetemp()
     shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "xla"
     jax.config.update("jax_compilation_cache_dir", os.environ.get("EAR_JAX_TEST_CACHE") or str(shared))

@@ -50,10 +50,10 @@ TINY = [
 ]
 
 
-def ear(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+def ear(*words: str, cwd: Path, **variables: str) -> subprocess.CompletedProcess[str]:
     """Runs the installed command in a process of its own."""
     command = [sys.executable, "-m", "ear_jax.cli.main", *words]
-    environment = {**os.environ, "EAR_JAX_CACHE": str(cwd / "cache")}
+    environment = {**os.environ, "EAR_JAX_CACHE": str(cwd / "cache"), **variables}
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=900)
 
 
@@ -225,7 +225,7 @@ def test_every_agent_trains(agent, tmp_path, monkeypatch, capsys):
 
 
 def test_train_then_evaluate_prints_one_json_document(tmp_path, monkeypatch, capsys):
-    trained = ear("train", "halfcheetah-vel", *TINY, "--seeds", "2", "--out", "run", cwd=tmp_path)
+    trained = ear("train", "halfcheetah-vel", *TINY, "--seeds", "2", "--out", "run", cwd=tmp_path, XLA_FLAGS="")
     assert (trained.returncode, trained.stdout) == (0, ""), trained.stderr
     assert "epoch 2/2" in trained.stderr
     assert "curves: run/figures/training.png" in trained.stderr

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.quick import shared_cache
+
 ROOT = Path(__file__).parents[2]
 SMALL = (
     "--preset smoke --engine native --epochs 2 --network.width 16 --sac.batch-size 32 --sac.updates 4 --collect.envs 2 "
@@ -53,7 +55,7 @@ def extended(tmp_path: Path) -> Path:
 def python(directory: Path, *words: str, timeout: float = 900) -> subprocess.CompletedProcess[str]:
     """Runs a module with the directory's package in place of the installed one."""
     path = os.pathsep.join(map(str, (directory, ROOT)))
-    environment = {**os.environ, "PYTHONPATH": path, "EAR_JAX_CACHE": str(directory / "cache")}
+    environment = {**os.environ, **shared_cache(), "PYTHONPATH": path}
     command = [sys.executable, "-m", *words]
     return subprocess.run(command, cwd=directory, env=environment, capture_output=True, text=True, timeout=timeout)
 

@@ -26,6 +26,7 @@ from ear_jax.runs import checkpoint, loop, records
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.trained import load
 from tests.helpers.faults import killed_before
+from tests.helpers.quick import shared_cache
 from tests.helpers.runs import assert_same_run, finished_config, last_state, stray_writes, words
 
 ROOT = Path(__file__).parents[2]
@@ -35,7 +36,7 @@ ROOT = Path(__file__).parents[2]
 def training(config: Config, directory: Path, said: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Runs `ear train` in a process of its own, whose stderr goes to a file."""
     command = [sys.executable, "-m", "tests.helpers.quick", *words(config), "--out", str(directory)]
-    environment = {**os.environ, "EAR_JAX_CACHE": str(said.parent / "cache"), "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, **shared_cache(), "PYTHONPATH": str(ROOT)}
     with said.open("wb") as stderr, subprocess.Popen(command, env=environment, stderr=stderr) as process:
         try:
             yield process
@@ -176,7 +177,7 @@ def test_a_policy_is_read_at_any_moment_of_its_training(tmp_path):
 @pytest.mark.slow
 def test_a_reader_of_stderr_that_leaves_does_not_end_a_run(tmp_path):
     command = [sys.executable, "-m", "tests.helpers.quick", *words(finished_config()), "--out", str(tmp_path / "run")]
-    environment = {**os.environ, "EAR_JAX_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, **shared_cache(), "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         process.stderr.readline()
         process.stderr.close()

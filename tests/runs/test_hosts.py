@@ -18,6 +18,7 @@ import pytest
 from ear_jax.config import CheckpointConfig, Config
 from ear_jax.runs import checkpoint, loop, records
 from ear_jax.runs.loop import train_run
+from tests.helpers.quick import shared_cache
 from tests.helpers.runs import last_state, leaves, step_arrays, sweep_words, tiny_config, words
 from tests.helpers.toy import compile_toy
 
@@ -54,8 +55,7 @@ def command(
     if hosts:
         port, count, index = hosts
         line += ["--hosts.coordinator", f"127.0.0.1:{port}", "--hosts.count", str(count), "--hosts.index", str(index)]
-    cache = os.environ.get("EAR_JAX_TEST_CACHE") or str(run.parent / "cache")
-    environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache, "XLA_FLAGS": f"{DEVICES}{devices}"}
+    environment = {**os.environ, **shared_cache(), "XLA_FLAGS": f"{DEVICES}{devices}"}
     environment |= {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
     return {"args": line, "env": environment, "text": True, "stderr": subprocess.PIPE, "stdout": subprocess.PIPE}
 

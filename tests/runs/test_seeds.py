@@ -12,6 +12,7 @@ import pytest
 
 from ear_jax.runs import records, seeds
 from ear_jax.runs.loop import train_run
+from tests.helpers.quick import shared_cache
 from tests.helpers.runs import last_state, leaves, tiny_config
 
 
@@ -41,9 +42,10 @@ loop._save = lambda directory, state, *rest: (
 loop.train_run(tiny_config(seeds=2, epochs=2), Path(sys.argv[2]))
 assert devices == [2], devices
 """
-    two = {**os.environ, "XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    two = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    environment = {**os.environ, **shared_cache(), **two}
     arguments = [str(Path(__file__).parents[2]), str(tmp_path / "two")]
-    subprocess.run([sys.executable, "-c", code, *arguments], env=two, check=True, timeout=300)
+    subprocess.run([sys.executable, "-c", code, *arguments], env=environment, check=True, timeout=300)
     train_run(config, tmp_path / "two")
     train_run(config, tmp_path / "one")
     rows = [records.read_rows(tmp_path / name / "metrics.jsonl") for name in ("one", "two")]
