@@ -28,7 +28,7 @@ from tests.helpers.runs import compile_once, finished_config, times, tiny_config
 # time.
 GROUPS = (
     ("bandit", ("methods", "learning", "agents", "house/test_walkthrough")),
-    ("run", ("runs", "rendering", "experiments/test_keeping")),
+    ("run", ("runs", "rendering", "experiments/test_keeping", "cli/test_asking", "cli/test_config", "cli/test_places")),
     *((file, (file,)) for file in ("cli/test_cli", "envs/test_families", "embeddings/test_embeddings")),
 )
 

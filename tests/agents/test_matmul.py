@@ -83,7 +83,7 @@ def test_learning_rounds_and_acting_does_not():
 
 @pytest.mark.parametrize(
     "agent",
-    ["ear", "pearl", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ear-rnn", "multihead", "onehot"))],
+    ["ear", *(pytest.param(name, marks=pytest.mark.slow) for name in ("ear-rnn", "multihead", "onehot", "pearl"))],
 )
 def test_an_update_is_nearly_float32s(agent: str):
     """The gradient of each network, Adam's first moment, points the same way."""

@@ -24,8 +24,12 @@ from ear_jax.runs.training import Program, TrainState
 from ear_jax.tasks import task_set
 from tests.helpers.bandit import bandit_program, begin, one_update, played, train_on, uncompiled
 
+SLOWLY = {"ear-rnn"}  # to save time: test_recurrent.py asks it for more, and ear has codes as it has
 
-@pytest.fixture(scope="module", params=METHODS)
+
+@pytest.fixture(
+    scope="module", params=[pytest.param(one, marks=[pytest.mark.slow] * (one in SLOWLY)) for one in METHODS]
+)
 def solved(request: pytest.FixtureRequest) -> Trained:
     """The bandit after 1,000 updates, which is enough for each agent but PEARL, which has to infer its code first.
 
