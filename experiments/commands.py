@@ -35,7 +35,9 @@ def analysis_words(job: Job, analysis: Analysis) -> list[str]:
     """Returns the `ear` command of an analysis: on the job's run, or on the recorded policy if the run is not here."""
     run = RUNS / job.name
     holder = _from_here(job.policy) if job.policy.is_file() and not is_copied(run, job.record) else str(run)
-    return [analysis.command, holder, *analysis.options, "--json"]
+    holder = _from_here(job.record / analysis.of) if analysis.of else holder
+    written = [_from_here(job.record / analysis.writes)] if analysis.writes else []
+    return [analysis.command, holder, *written, *analysis.options, "--json"]
 
 
 def _from_here(path: Path) -> str:

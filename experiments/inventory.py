@@ -104,9 +104,11 @@ def side_by_side(wanted: list[Job]) -> list[Job]:
 
 
 def missing(job: Job) -> list[Analysis]:
-    """Returns the analyses without a document; all of them if the run is missing."""
+    """Returns the analyses without a document, and those of a policy to be written anew; all if the run is missing."""
     trained = is_trained(job)
-    return [analysis for analysis in job.analyses if not (trained and (job.record / f"{analysis.name}.json").is_file())]
+    lacking = {one for one in job.analyses if not (trained and (job.record / f"{one.name}.json").is_file())}
+    written = {one.writes for one in lacking if one.writes}
+    return [one for one in job.analyses if one in lacking or one.of in written]
 
 
 def is_complete(job: Job) -> bool:

@@ -7,7 +7,7 @@ pair of tasks). The paper's figures are curves and pictures without numbers; its
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ class Analysis:
     command: str
     options: tuple[str, ...] = ()
     picture: str = ""  # key of the file in the document that is recorded with it
+    writes: str = ""  # name of the policy's file that the command writes into the record
+    of: str = ""  # name of such a file that the command is run on, instead of the run
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,10 @@ EAR_VARIANTS = ("", CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-n
 EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
 ADAPTATION = Analysis("adaptation", "adapt")
+REFINED = "refined.safetensors"
+REFINEMENT = Analysis("refinement", "refine", writes=REFINED)
+REFINED_EVALUATION = replace(EVALUATION, name="refined-evaluation", of=REFINED)
+REFINED_INTERPOLATION = replace(INTERPOLATION, name="refined-interpolation", of=REFINED)
 MAP = Analysis("map", "map")
 SENSORY = Analysis("lse", "lse")
 STILLS = stills("stills", "1", "2")
@@ -166,6 +172,11 @@ OURS = (
         "categorical",
         "EAR with residual categorical critics",
         methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", CATEGORICAL)),
+    ),
+    Experiment(
+        "refined",
+        "EAR refined by schedules of its LTEs",
+        methods(FAMILIES, EVALUATION, INTERPOLATION, REFINEMENT, REFINED_EVALUATION, REFINED_INTERPOLATION),
     ),
     Experiment("space", "how good EAR's spaces of LTEs are"),
     Experiment(

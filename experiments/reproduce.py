@@ -106,6 +106,8 @@ def pause() -> None:
 def analyse(job: Job, analysis: Analysis) -> None:
     """Adds an analysis to the record of a job; raises as `run_ear`."""
     words = analysis_words(job, analysis)
+    if analysis.writes:
+        (job.record / analysis.writes).unlink(missing_ok=True)  # of a process that was killed before its document
     document = json.loads(run_ear(words))
     if analysis.picture:
         copy_file(Path(document["files"][analysis.picture]), job.record / f"{analysis.name}.png")

@@ -56,7 +56,7 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
         "agent": config.agent,
         "preset": config.preset,
         "engine": program.family.engine.name,
-        "env_steps": program.env_steps(trained.collected),
+        "env_steps": trained.env_steps,
         "updates": trained.epoch * config.sac.updates,
         "episodes": episodes,
         "episode_length": program.family.episode_length,

@@ -43,6 +43,12 @@ class Trained:
     about: dict[str, Any] = field(default_factory=dict)  # as saved: configuration, tasks, versions, machine
 
     @property
+    def env_steps(self) -> int:
+        """Environment steps per seed of training and of refinements."""
+        refined: dict[str, int] = self.about.get("refined", {})
+        return self.program.env_steps(self.collected) + refined.get("env_steps", 0)
+
+    @property
     def fingerprint(self) -> str:
         """A short hash of the policies' parameters."""
         digest = hashlib.sha256()
@@ -94,6 +100,8 @@ def pick(trained: Trained, policy: int) -> Trained:
     program = replace(trained.program, config=replace(config, seed=seed, seeds=1))
     alone = {**trained.about["config"], "seed": seed, "seeds": 1}
     about = {**trained.about, "config": alone, "side_by_side": config.seeds}
+    if refined := about.get("refined"):
+        about["refined"] = {**refined, "mean_returns": refined["mean_returns"][policy : policy + 1]}
     return replace(trained, program=program, policies=policies, about=about)
 
 
@@ -126,6 +134,11 @@ def load(path: Path, family: str | None = None, engine: str | None = None) -> Tr
     return (_from_file if path.is_file() else _from_run)(path, family, engine)
 
 
+def results_of(file: Path) -> Path:
+    """Returns the directory of results about an exported file."""
+    return file.with_name(file.name.removesuffix(SUFFIX) + "-results")
+
+
 def save(file: Path, trained: Trained, rows: list[dict[str, Any]]) -> str:
     """Writes policies to a file for `load` and returns its card; see `describe` and `write_policy`."""
     about = {name: value for name, value in trained.about.items() if name != "leaves"}
@@ -147,6 +160,7 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
     config, versions = program.config, about["versions"]
     seeds = range(config.seed, config.seed + config.seeds)
     returns = [row["mean_return"] for row in rows if row["epoch"] == trained.epoch and row["seed"] in seeds]
+    refined = about.get("refined")
     together = f", one of {about['side_by_side']} trained together" if "side_by_side" in about else ""
     mean_return = f", mean return {sum(returns) / len(returns):.1f}" if returns else ""
     return "\n".join(
@@ -155,10 +169,19 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
             f"tasks, in the order of the code table: {', '.join(program.tasks.names)}",
             f"trained for {trained.epoch} epochs, {program.env_steps(trained.collected):,} env steps and "
             f"{trained.epoch * config.sac.updates:,} updates per seed{mean_return}",
+            *([_describe_refinement(refined)] if refined else []),
             f"ear_jax {versions.get('ear_jax', 'of an unknown version')}, "
             f"engine {about['engine']}, mujoco {versions.get('mujoco')}, jax {versions.get('jax')}, "
             f"commit {about.get('commit')}",
         ]
+    )
+
+
+def _describe_refinement(refined: dict[str, Any]) -> str:
+    before, after = (sum(of_seeds) / len(of_seeds) for of_seeds in zip(*refined["mean_returns"], strict=True))
+    return (
+        f"refined by what schedules of its LTEs do better: {refined['env_steps']:,} env steps and "
+        f"{refined['updates']:,} gradient steps per seed, mean return {before:.1f} before, {after:.1f} after"
     )
 
 
@@ -190,9 +213,8 @@ def _from_file(path: Path, family: str | None, engine: str | None) -> Trained:
     difference = first_difference(layout(named_leaves(like)), layout(header.entries), partly=True)
     if difference:
         raise RunError(f"{path} does not fit its configuration: {difference}")
-    directory = path.with_name(path.name.removesuffix(SUFFIX) + "-results")
     policies = rebuild(like, read_policy(path, header))["policy"]
-    return Trained(str(path), program, policies, about["epoch"], directory, about["collected"], about)
+    return Trained(str(path), program, policies, about["epoch"], results_of(path), about["collected"], about)
 
 
 def _program(holder: Path, about: dict[str, Any], family: str | None, engine: str) -> Program:

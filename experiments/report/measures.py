@@ -12,8 +12,8 @@ from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
 from ear_jax.envs import FAMILIES
 from ear_jax.runs import safetensors
 from experiments.inventory import POLICY
-from experiments.paper import ANT, CHEETAH, HOPPER, WALKER, numbers
-from experiments.report.formatting import MISSING, NAMES, seeds, spread
+from experiments.paper import ANT, CHEETAH, HOPPER, REFINEMENT, WALKER, numbers
+from experiments.report.formatting import MISSING, NAMES, count, seeds, spread
 from experiments.report.run_index import Run
 
 BLENDED = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
@@ -47,16 +47,29 @@ def returns(runs: Sequence[Run]) -> str:
     return f"{spread([mean_return(run) for run in runs])} ({seeds(runs)})" if runs else MISSING
 
 
+def refinements(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Returns what `ear refine` did to each of the runs that it was used on."""
+    return [entry for run in runs for entry in run.of_seed(REFINEMENT.name, "seeds")]
+
+
+def refined_returns(runs: Sequence[Run]) -> str:
+    """Formats the mean return of refined policies, its spread and, if some runs were not refined, their number."""
+    after = [entry["rounds"][-1]["refined"] for entry in refinements(runs)]
+    if not after:
+        return MISSING
+    return spread(after) if len(after) == len(runs) else f"{spread(after)} ({count(len(after))} of {count(len(runs))})"
+
+
 def score_table(runs: Sequence[Run]) -> np.ndarray:
     """Gives the returns [seeds, tasks] of runs."""
     return np.array([list(task_returns(run).values()) for run in runs])
 
 
-def successes(runs: Sequence[Run], measure: str) -> Count | None:
+def successes(runs: Sequence[Run], measure: str, document: str = "interpolation") -> Count | None:
     """Counts the pairs of neighbours that succeed at `fresh`, `mid_task` or `one_to_one`; None if no run tells."""
 
     def succeeded(run: Run) -> list[bool]:
-        return [pair[measure] for pair in run.of_seed("interpolation", "pairs") if measure in pair]
+        return [pair[measure] for pair in run.of_seed(document, "pairs") if measure in pair]
 
     return _counted({run.seed: succeeded(run) for run in runs})
 

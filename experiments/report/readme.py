@@ -20,6 +20,7 @@ from experiments.report.measures import (
     paper_budget,
     paper_counts,
     paper_return,
+    refined_returns,
     returns,
     successes,
     unit,
@@ -33,7 +34,7 @@ HEADLINE, RESULTS = "headline", "results"  # the names of the markers
 SHOWN = (*FAMILIES, RUN_JUMP, REACH)
 BLENDED = ("fresh", "mid_task", "one_to_one")
 COUNTED = ("again", "midway", "between")  # the same in the tables' heads
-COLUMNS = ("family", "return", "paper's return", *COUNTED, "seeds", "minutes a seed")
+COLUMNS = ("family", "return", "refined", "paper's return", *COUNTED, "seeds", "minutes a seed")
 DETAILED_COLUMNS = ("family", "return", "paper's return", *COUNTED, "error from a map", "minutes a seed")
 
 
@@ -76,13 +77,14 @@ def results(index: RunIndex) -> str:
             returned = spread([mean_return(run) for run in runs])
             blended = [_successes(family, runs, measure).replace(" of ", "/") for measure in BLENDED]
             last = count(len(runs)), _minutes(runs).replace(" to ", "–") or MISSING
-            rows.append([NAMES[family], returned, _paper_return(family), *blended, *last])
+            rows.append([NAMES[family], returned, refined_returns(runs), _paper_return(family), *blended, *last])
     return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{HOW_TO_READ}"
 
 
 HOW_TO_READ = (
-    "*Return*: the mean over the training tasks, ± over seeds. *Midway*: pairs of neighbouring tasks for which some "
-    "blend of their LTEs meets the value midway, in one episode a blend. *Again*: pairs for which the blend that came "
+    "*Return*: the mean over the training tasks, ± over seeds. *Refined*: the same after `ear refine`, which plays "
+    "more env steps. *Midway*: pairs of neighbouring tasks for which some blend of their LTEs meets the value midway, "
+    "in one episode a blend. *Again*: pairs for which the blend that came "
     "nearest meets it in the mean of 10 fresh episodes. *Between*: pairs whose half-and-half blend lies between the "
     "two. In brackets: the paper."
 )

@@ -37,6 +37,7 @@ TABLES: dict[str, Callable[[RunIndex], list[Block]]] = {
     "wide": partial(tables.variants, "wide"),
     "gathered": partial(tables.variants, "gathered"),
     "categorical": partial(tables.variants, "categorical"),
+    "refined": tables.refined,
     "space": spaces.spaces,
     "reach": tables.reach,
     **{f"table-{11 + index}": partial(blends.midway, f"table-{11 + index}", one) for index, one in enumerate(BLENDED)},

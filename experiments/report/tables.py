@@ -8,7 +8,18 @@ from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
 from ear_jax.envs import Family
 from ear_jax.envs.reach import NEAR
 from ear_jax.runs.statistics import interquartile_mean, probability_of_improvement
-from experiments.paper import ANT, EXPERIMENTS, FAMILIES, REACH, WIDE, Method, numbers
+from experiments.paper import (
+    ANT,
+    EXPERIMENTS,
+    FAMILIES,
+    INTERPOLATION,
+    REACH,
+    REFINED_INTERPOLATION,
+    REFINEMENT,
+    WIDE,
+    Method,
+    numbers,
+)
 from experiments.report.blocks import Block, Table
 from experiments.report.formatting import (
     MISSING,
@@ -35,6 +46,8 @@ from experiments.report.measures import (
     paper_counts,
     paper_recount,
     paper_return,
+    refined_returns,
+    refinements,
     returns,
     score_table,
     successes,
@@ -42,6 +55,7 @@ from experiments.report.measures import (
 )
 from experiments.report.run_index import Run, RunIndex
 
+BLENDS = (INTERPOLATION.name, REFINED_INTERPOLATION.name)  # before and after a refinement
 PAPERS = {"mid_task": "mid-task", "one_to_one": "1:1"}  # measures of the paper
 MEASURES = {"fresh": "mid-task, again", **PAPERS}
 HEADS = ("ours", "IQM [95 %]", "P(EAR better) [95 %]", "seeds", "env steps", "updates", "minutes")
@@ -90,6 +104,32 @@ def variants(id: str, index: RunIndex) -> list[Block]:
         "seed, and tasks with failures."
     )
     return [Table(caption, ("family", "method", *columns), rows)]
+
+
+def refined(index: RunIndex) -> list[Block]:
+    """Returns a table of our own: every family before and after `ear refine`."""
+    rows = []
+    for method in EXPERIMENTS["refined"].methods:
+        runs = [run for run in index.of(method) if refinements([run])]
+        found, paper = refinements(runs), paper_return(method.family, method.agent)
+        before = spread([entry["mean_return"] for entry in found]) if found else MISSING
+        blended = [" → ".join(str(successes(runs, measure, of) or MISSING) for of in BLENDS) for measure in MEASURES]
+        steps = [count(run.document(REFINEMENT.name)["env_steps"]) for run in runs[:1]]
+        cells = (
+            before,
+            refined_returns(runs),
+            printed(paper) if paper else MISSING,
+            *blended,
+            seeds(runs),
+            *(steps or [MISSING]),
+        )
+        rows.append([NAMES[method.family], *cells])
+    columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "env steps of the refinement")
+    caption = (
+        "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "
+        "that blend, before → after."
+    )
+    return [Table(caption, ("family", *columns), rows)]
 
 
 def reach(index: RunIndex) -> list[Block]:

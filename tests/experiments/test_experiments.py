@@ -50,6 +50,24 @@ def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     assert workplace == [evaluate.format(runs[1])], "the run is there"
 
 
+def test_a_refined_policy_is_written_into_the_record_and_analysed_there(workplace):
+    run = "hopper-vel-ear-fast-seed0"
+    assert main(["reproduce", "refined", "--seeds", "1", "--only", run]) == 0
+    refined = f"records/{run}/refined.safetensors"
+    words = [
+        f"refine runs/{run} {refined} --json",
+        f"evaluate {refined} --episodes 5 --json",
+        f"interpolate {refined} --all-pairs --json",
+    ]
+    assert workplace[-3:] == words
+    (inventory.RECORDS / run / "refinement.json").unlink()
+    (inventory.RECORDS / run / "refined.safetensors").write_text("of a process that was killed")
+    workplace.clear()
+    assert main(["reproduce", "refined", "--seeds", "1", "--only", run]) == 0
+    assert workplace == words, "the analyses of the refined policy too"
+    assert not (inventory.RECORDS / run / "refined.safetensors").exists(), "the stand-in for `ear` writes none"
+
+
 @pytest.mark.parametrize(
     "words", [["experiments", "reproduce", "table-1", "--dry-run"], ["ear_jax.cli.main", "--help"]]
 )

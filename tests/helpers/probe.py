@@ -131,3 +131,30 @@ class Point(Bandit):
 
     def terminated(self, physics: Physics) -> jax.Array:
         return jnp.zeros((), bool)
+
+
+class Clock(Bandit):
+    """Episodes of 20 steps that show the time, from 0 to 1; up to 0.2 the best action is a*, and −a* from then on."""
+
+    name = "clock"
+    episode_length = 20
+
+    def initial(self, key: jax.Array) -> Physics:
+        return Physics(jnp.zeros(1), jnp.zeros(1), jnp.zeros(1))
+
+    def actuate(self, physics: Physics, action: jax.Array) -> tuple[Physics, jax.Array]:
+        # The force of the action changes the next time by 1e-4 at most.
+        return replace(physics, qvel=jnp.full(1, 1 / (self.episode_length * self.dt))), action
+
+    def observe(self, physics: Physics) -> jax.Array:
+        return physics.qpos
+
+    def outcome(self, motion: Motion) -> Outcome:
+        return {"action": motion.action[0], "time": motion.before.qpos[0]}
+
+    def reward(self, outcome: Outcome, task: TaskParams) -> jax.Array:
+        best = jnp.where(outcome["time"] < 0.199, task["action"], -task["action"])
+        return -((outcome["action"] - best) ** 2)
+
+    def terminated(self, physics: Physics) -> jax.Array:
+        return jnp.zeros((), bool)

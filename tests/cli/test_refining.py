@@ -1,0 +1,43 @@
+"""`ear refine RUN FILE` on a small run."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from ear_jax.cli.main import main
+from ear_jax.runs.trained import describe, load, pick
+
+QUICK = ("--rounds", "1", "--epochs", "1", "--candidates", "5", "--starts", "1")
+QUICK += ("--passes", "1", "--updates", "2", "--episodes", "1")
+
+
+def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished, tmp_path, capsys):
+    file = tmp_path / "refined.safetensors"
+    assert main(["refine", str(finished), str(file), *QUICK, "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    refined, before = load(file), load(finished)
+    assert refined.fingerprint != before.fingerprint
+    assert refined.about["refined"]["from"] == before.fingerprint
+    assert refined.env_steps == before.env_steps + document["env_steps"]
+    for index, entry in enumerate(document["seeds"]):
+        means = entry["mean_return"], entry["rounds"][0]["refined"]
+        assert "mean return {:.1f} before, {:.1f} after".format(*means) in describe(pick(refined, index), [])
+    assert (tmp_path / "refined-results" / "refinement.json").is_file()
+    assert len(document["figures"]) == len(document["seeds"])
+    assert main(["refine", str(finished), str(file), *QUICK]) == 2
+    assert f"{file} already exists; name another file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["refined.onnx"], "refined.onnx must end in .safetensors"),
+        (["refined.safetensors", "--candidates", "4"], "--candidates 4 is too small; it must be at least 5"),
+        (["nowhere/on/earth.safetensors", "--rounds", "0"], "--rounds 0 is too small"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_loaded(words, said, capsys):
+    assert main(["refine", "pretrained:hopper-vel", *words]) == 2
+    assert said in capsys.readouterr().err
