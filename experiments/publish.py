@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import os
 import re
@@ -14,12 +15,17 @@ import tyro
 
 from ear_jax import pretrained
 from ear_jax.cli.arguments import parse
+from ear_jax.config import CheckpointConfig, Config, LogConfig
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.replacing import lock_file, replace_file
 from ear_jax.runs import records
 from ear_jax.runs.card import command_line, make_card
 from ear_jax.runs.trained import Trained, load, pick, save
 from experiments.commands import IN_HAND, RUNS
+from experiments.inventory import POLICY
+from experiments.paper import EVALUATION, REFINED, REFINED_EVALUATION
+from experiments.report.measures import mean_return, refinements
+from experiments.report.run_index import recorded_runs
 
 FILE_BYTES, ALL_BYTES = 2_000_000, 10_000_000  # limits for one file and for all together
 
@@ -34,22 +40,25 @@ class PublishCommand:
     """The agent's name; by default its family, with the method if that is not ear. Replaces an agent of that name."""
     policy: int | None = None
     """The policy in a record of several seeds; 0 is the first."""
+    refined: bool = False
+    """Add the record's refined.safetensors, with the limits of refined-evaluation.json."""
 
 
 def main(words: list[str]) -> None:
     command = parse(PublishCommand, words, "publish", program="python -m experiments")
-    card = publish(command.record, command.name, command.policy)
+    card = publish(command.record, command.name, command.policy, command.refined)
     print(f"{pretrained.PREFIX}{card['name']}: {card['bytes']:,} bytes, mean return {card['mean_return']:.1f}")
     print(card["limits"])
 
 
-def publish(record: Path, name: str | None = None, index: int | None = None) -> dict[str, Any]:
+def publish(record: Path, name: str | None = None, index: int | None = None, refined: bool = False) -> dict[str, Any]:
     """Copies a record's policy into the package and writes its card.
 
     Args:
       record: the record's directory.
       name: the agent's name; by default its family, with the method if that is not ear.
       index: the policy in a record of several seeds.
+      refined: take the refined policy.
 
     Returns:
       The card.
@@ -59,10 +68,13 @@ def publish(record: Path, name: str | None = None, index: int | None = None) -> 
         outside ear_jax.
       RunError: files are missing, disagree with each other, or are too large.
     """
-    policy = record / "policy.safetensors"
+    policy = record / (REFINED if refined else POLICY)
     if not record.is_dir():
         raise UsageError(f"no record {record}: there is no such directory")
-    for path, source in ((policy, "`ear export`"), (record / "metrics.jsonl", "`ear train`")):
+    for path, source in (
+        (policy, "`ear refine`" if refined else "`ear export`"),
+        (record / "metrics.jsonl", "`ear train`"),
+    ):
         if not path.is_file():
             raise RunError(f"{record} has no {path.name}, which {source} writes")
     recorded, rows = load(policy), records.read_rows(record / "metrics.jsonl", required=records.METRICS)
@@ -74,7 +86,9 @@ def publish(record: Path, name: str | None = None, index: int | None = None) -> 
     name = name or (config.family if config.agent == "ear" else f"{config.family}-{config.agent}")
     if not re.fullmatch(r"[a-z][a-z0-9-]*", name):
         raise UsageError(f"--name {name} cannot name an agent; use lower-case letters, digits and -")
-    card = make_card(name, trained, command_line(recorded.program.config), rows, read_evaluation(record, trained))
+    evaluation = read_evaluation(record / f"{(REFINED_EVALUATION if refined else EVALUATION).name}.json", trained)
+    card = make_card(name, trained, command_line(recorded.program.config), rows, evaluation)
+    card |= among_seeds(trained, refined)
     with tempfile.TemporaryDirectory() as scratch:
         if seeds > 1:
             policy = Path(scratch) / policy.name
@@ -106,9 +120,25 @@ def check_size(size: int, name: str) -> None:
         raise RunError(f"with {name} all agents would have {total:,} bytes; the limit is {ALL_BYTES:,}")
 
 
-def read_evaluation(record: Path, trained: Trained) -> dict[str, Any] | None:
-    """Returns the record's evaluation, if any; raises RunError if it belongs to another policy or cannot be read."""
-    path = record / "evaluation.json"
+def among_seeds(trained: Trained, refined: bool) -> dict[str, Any]:
+    """Returns the number of recorded seeds that an agent was chosen among, and their mean return."""
+
+    def method(config: Config) -> Config:
+        return dataclasses.replace(
+            config, seed=0, seeds=1, engine="auto", log=LogConfig(), checkpoint=CheckpointConfig()
+        )
+
+    ours = method(trained.program.config)
+    runs = [run for run in recorded_runs() if method(run.config) == ours]
+    if refined:
+        returns = [entry["rounds"][-1]["refined"] for entry in refinements(runs)]
+    else:
+        returns = [mean_return(run) for run in runs]
+    return {"seeds": len(returns), "mean_of_seeds": sum(returns) / len(returns)} if returns else {}
+
+
+def read_evaluation(path: Path, trained: Trained) -> dict[str, Any] | None:
+    """Returns a record's evaluation, if any; raises RunError if it belongs to another policy or cannot be read."""
     if not path.is_file():
         return None
     document = records.read_json(path)

@@ -32,8 +32,9 @@ def main(words: list[str]) -> None:
         trained = f"{card['minutes']:.0f} min, {card['updates']:,} updates"
         outcomes = [task["met"] for task in card["tasks"] if "met" in task]
         met = f"{sum(outcomes)} of {len(outcomes)}" if outcomes else "–"
-        rows.append((card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", met))
-    print_table(("name", "agent", "trained", "return>", "tasks met>"), rows)
+        among = f"{card['seeds']} ({card['mean_of_seeds']:.1f})" if "seeds" in card else "–"
+        rows.append((card["name"], card["agent"], trained, f"{card['mean_return']:.1f}", among, met))
+    print_table(("name", "agent", "trained", "return>", "of seeds (mean)>", "tasks met>"), rows)
     print("A task is met if no episode ends early and the error is less than half the distance to the next task.")
     print("Tasks without a target are not counted. --json prints every task, and the rest of each agent's card.")
     print("`ear demo --pretrained NAME` shows an agent at work; every command that takes a run takes pretrained:NAME.")

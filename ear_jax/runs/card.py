@@ -51,7 +51,7 @@ def make_card(
         "command": command,
         "seed": config.seed,
         "side_by_side": about.get("side_by_side", 1),  # seeds trained in these minutes
-        "env_steps": last["env_steps"],
+        "env_steps": last["env_steps"] + about.get("refined", {}).get("env_steps", 0),
         "updates": last["updates"],
         "minutes": round(last["seconds"] / 60, 1),
         "mean_return": mean_return,
@@ -60,6 +60,7 @@ def make_card(
         "limits": limits(tasks, episodes, family.unit) if evaluation else UNKNOWN,
         "tasks": tasks,
         "learning_curve": thinned(rows),
+        **({"refined": about["refined"]} if "refined" in about else {}),
         **{key: about[key] for key in ("engine", "machine", "versions", "commit")},
     }
 

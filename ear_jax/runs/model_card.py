@@ -70,11 +70,25 @@ def _about(card: dict[str, Any]) -> list[str]:
         f"| method | {card['agent']}, preset {card['preset']} |",
         f"| trained by | {_code(card['command'])} (seed {card['seed']}{together}) |",
         f"| training | {card['env_steps']:,} env steps, {card['updates']:,} updates, {card['minutes']:g} minutes |",
+        *([f"| refined | {_refinement(card['refined'])} |"] if "refined" in card else []),
+        *(
+            [f"| chosen among | {card['seeds']} seeds, mean return {card['mean_of_seeds']:.1f} |"]
+            if "seeds" in card
+            else []
+        ),
         f"| engine | {card['engine']} |",
         f"| machine | {card['machine'].get('processor')}, {card['machine'].get('cores')} cores |",
         f"| versions | {', '.join(f'{name} {version}' for name, version in card['versions'].items() if version)} |",
         f"| commit | {card['commit']} |",
     ]
+
+
+def _refinement(refined: dict[str, Any]) -> str:
+    ((before, after),) = refined["mean_returns"]
+    return (
+        f"by `ear refine`, with {refined['env_steps']:,} of the env steps and {refined['updates']:,} gradient steps: "
+        f"mean return {before:.1f} before, {after:.1f} after"
+    )
 
 
 def _use(file: str) -> list[str]:
