@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from ear_jax.cli.arguments import check_least, parse
+from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, print_pictures, print_table
 from ear_jax.errors import UsageError
@@ -21,8 +21,8 @@ from ear_jax.pretrained import SUFFIX
 class RefineCommand(OnRun):
     """Teach a policy what schedules of its own task embeddings (LTEs) do better, and write the new policy to a file.
 
-    A search finds for each task the LTEs under which an episode begins, goes on and returns most; then the networks
-    learn to play that under the task's own LTE. All LTEs stay where they are.
+    A search finds for each task the LTEs, and small pushes of the actions, under which an episode returns most; then
+    the networks learn to play that under the task's own LTE. All LTEs stay where they are.
 
     Example: ear refine pretrained:hopper-vel refined.safetensors
     """
@@ -33,10 +33,12 @@ class RefineCommand(OnRun):
     """Rounds of searching and teaching, each with the policy of the round before."""
     epochs: int = 12
     """Epochs of each search."""
-    candidates: int = 32
+    candidates: int = 48
     """Schedules that an epoch tries for each task."""
-    starts: int = 3
+    starts: int = 2
     """Random starts from which each is played."""
+    push: float = 0.3
+    """Standard deviation of what the search adds to actions, before tanh; 0: it only changes LTEs."""
     passes: int = 3
     """Passes of teaching a round: the policy plays, is corrected, and learns from all corrections."""
     updates: int = 600
@@ -47,7 +49,10 @@ class RefineCommand(OnRun):
 
 def main(words: list[str]) -> None:
     command = parse(RefineCommand, words, "refine")
-    check_least(command, rounds=1, epochs=1, candidates=5, starts=1, passes=1, updates=1, episodes=1)
+    check_least(command, rounds=1, epochs=1, candidates=8, starts=1, passes=1, updates=1, episodes=1)
+    check_finite("--push", command.push)
+    if command.push < 0:
+        raise UsageError(f"--push {command.push:g} is too small; it must be at least 0")
     if command.file.suffix != SUFFIX:
         raise UsageError(f"{command.file} must end in {SUFFIX}")
     if command.file.exists():
@@ -60,7 +65,7 @@ def main(words: list[str]) -> None:
     from ear_jax.figures.refine import draw_refine
     from ear_jax.runs.trained import results_of, save
 
-    search = ScheduleSearch(command.epochs, command.candidates, command.starts)
+    search = ScheduleSearch(command.epochs, command.candidates, command.starts, push=command.push)
     settings = Refinement(command.rounds, search, Teaching(passes=command.passes, updates=command.updates))
     refined, document = refine(trained, settings, command.episodes, command.seed)
     save(command.file, refined, [])

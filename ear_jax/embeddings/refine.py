@@ -63,7 +63,7 @@ def refine(trained: Trained, settings: Refinement, episodes: int = 20, seed: int
     keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), 1), (settings.rounds, 3, count))
     fresh = jax.random.split(jax.random.fold_in(jax.random.key(seed), 2), count)
     table = jax.vmap(program.agent.codes)(trained.policies)
-    own = jax.vmap(lambda codes: schedule.init(codes, 0.0).codes)(table)
+    own = jax.vmap(lambda codes: schedule.constant(codes, program.family.action_size))(table)
     play_all = _for_seeds(partial(play_schedules, program, episodes=episodes))
     pick = _for_seeds(partial(choose, program, episodes=episodes))
 
@@ -119,15 +119,15 @@ def _for_seeds(of_seed: Callable[..., Any]) -> Callable[..., Any]:
 def _search(
     program: Program, search: ScheduleSearch, policies: Params, table: jax.Array, keys: jax.Array
 ) -> tuple[jax.Array, list[np.ndarray]]:
-    """Searches a schedule for each seed and task; returns them [seeds, tasks, pieces, code] and each epoch's return."""
-    state = jax.vmap(lambda codes: schedule.init(codes, search.sigma))(table)
+    """Searches a schedule for each seed and task, [seeds, tasks, pieces, code + act], and tells each epoch's return."""
+    state = jax.vmap(lambda codes: schedule.init(codes, program.family.action_size, search))(table)
     advance = _for_seeds(partial(search_epoch, program, search))
     course = []
     for epoch in range(search.epochs):
         with phase(f"searching schedules of LTEs, epoch {epoch + 1} of {search.epochs}"):
             state, returns = advance(policies, state, jax.vmap(jax.random.fold_in, (0, None))(keys, epoch))
             course.append(np.asarray(returns).mean(axis=1))
-    return state.codes, course
+    return state.pieces, course
 
 
 def _teach(

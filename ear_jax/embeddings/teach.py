@@ -18,7 +18,7 @@ from flax import struct
 from ear_jax.agents import Agent
 from ear_jax.agents.networks import Params
 from ear_jax.agents.tanh_gaussian import Gaussian, squash
-from ear_jax.embeddings.schedule import BEGINS, in_time
+from ear_jax.embeddings.schedule import constant, in_time, pushed
 from ear_jax.envs.batched_env import BatchedEnv, Transition
 from ear_jax.learning.episodes import starts
 from ear_jax.learning.rollout import first_episode, rollout
@@ -89,7 +89,7 @@ def teach(
     Args:
       program, teaching: the family, the agent and the settings.
       teacher: the parameters that act under the schedules.
-      schedules: [tasks, pieces, code].
+      schedules: [tasks, pieces, code + act].
       student: its state; in its first pass it plays as the teacher.
       key: of starts, noise and batches.
 
@@ -97,7 +97,7 @@ def teach(
       The student's state, and how far it is from the teacher, on average over the last tenth of its gradient steps.
     """
     key_play, *keys = jax.random.split(key, 1 + teaching.updates)
-    own = jnp.repeat(program.agent.codes(teacher)[:, None], len(BEGINS), axis=1)
+    own = constant(program.agent.codes(teacher), program.family.action_size)
     under = jnp.where(student.filled == 0, schedules, own)
     play = partial(_play, program, teacher, student.policy, under, schedules, teaching.episodes)
     lessons = jax.vmap(play)(jnp.array(NOISES), jax.random.split(key_play, len(NOISES)))
@@ -147,18 +147,18 @@ def _play(
     noise: jax.Array,
     key: jax.Array,
 ) -> Lessons:
-    """Plays one seed's actor under codes [tasks, pieces, code]; the teacher says what it does under the schedules."""
+    """Plays one seed under some schedules [tasks, pieces, code + act]; the teacher says what it does under others."""
     family, agent, steps = program.family, program.agent, program.family.episode_length
-    size, tasks = agent.code_size, len(program.tasks)
+    tasks, size = len(program.tasks), schedules.shape[-1]
     key_start, key_noise = jax.random.split(key)
     explore = noise * jax.random.normal(key_noise, (steps, tasks, episodes, family.action_size))
     acting, teaching = (
-        jnp.broadcast_to(in_time(codes, steps)[:, :, None], (steps, tasks, episodes, size))
-        for codes in (under, schedules)
+        jnp.broadcast_to(in_time(pieces, steps)[:, :, None], (steps, tasks, episodes, size))
+        for pieces in (under, schedules)
     )
 
     def act(obs: jax.Array, inputs: jax.Array) -> jax.Array:
-        return squash(agent.distribution(actor, inputs[:size], obs), inputs[size:])
+        return squash(pushed(agent, actor, inputs[:size], obs), inputs[size:])
 
     def record(step: Transition) -> tuple[jax.Array, jax.Array]:
         return step.obs, step.terminated | ~step.valid
@@ -166,7 +166,7 @@ def _play(
     begun = starts(family, program.tasks.params, key_start, episodes)
     inputs = jnp.concatenate([acting, explore], axis=-1)
     _, (obs, over) = rollout(BatchedEnv(family, resets=False), jax.vmap(jax.vmap(act)), begun, inputs, record)
-    taught = jax.vmap(jax.vmap(jax.vmap(partial(agent.distribution, teacher))))(teaching, obs)
+    taught = jax.vmap(jax.vmap(jax.vmap(partial(pushed, agent, teacher))))(teaching, obs)
     task = jnp.broadcast_to(jnp.arange(tasks)[:, None], over.shape)
     lessons = Lessons(obs, task, taught, first_episode(over))
     return jax.tree.map(lambda leaf: leaf.reshape(over.size, *leaf.shape[3:]), lessons)

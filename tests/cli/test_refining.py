@@ -9,7 +9,7 @@ import pytest
 from ear_jax.cli.main import main
 from ear_jax.runs.trained import describe, load, pick
 
-QUICK = ("--rounds", "1", "--epochs", "1", "--candidates", "5", "--starts", "1")
+QUICK = ("--rounds", "1", "--epochs", "1", "--candidates", "8", "--starts", "1")
 QUICK += ("--passes", "1", "--updates", "2", "--episodes", "1")
 
 
@@ -18,7 +18,6 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
     assert main(["refine", str(finished), str(file), *QUICK, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     refined, before = load(file), load(finished)
-    assert refined.fingerprint != before.fingerprint
     assert refined.about["refined"]["from"] == before.fingerprint
     assert refined.env_steps == before.env_steps + document["env_steps"]
     for index, entry in enumerate(document["seeds"]):
@@ -34,7 +33,9 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
     ("words", "said"),
     [
         (["refined.onnx"], "refined.onnx must end in .safetensors"),
-        (["refined.safetensors", "--candidates", "4"], "--candidates 4 is too small; it must be at least 5"),
+        (["refined.safetensors", "--candidates", "7"], "--candidates 7 is too small; it must be at least 8"),
+        (["refined.safetensors", "--push", "-1"], "--push -1 is too small; it must be at least 0"),
+        (["refined.safetensors", "--push", "nan"], "--push"),
         (["nowhere/on/earth.safetensors", "--rounds", "0"], "--rounds 0 is too small"),
     ],
 )

@@ -98,7 +98,8 @@ def other(value: Any) -> Any:
     return {bool: not value, int: 77, float: 77.0, tuple: ("7", "8")}.get(type(value), "x")
 
 
-KEPT = [name for name, kind in commands().items() if issubclass(kind, OnRun)]
+# The results of `ear refine` are about a new file, and in a folder named after it.
+KEPT = [name for name, kind in commands().items() if issubclass(kind, OnRun) and name != "refine"]
 
 
 @pytest.mark.parametrize("name", KEPT)
