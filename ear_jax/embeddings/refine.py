@@ -83,32 +83,37 @@ def refine(trained: Trained, settings: Refinement, episodes: int = 20, seed: int
         policies, apart = _teach(program, settings.teaching, policies, schedules, of_round[1])
         returns = play(policies, own)
         rounds.append((np.asarray(schedules), np.asarray(course), scheduled, apart, returns))
-    about = _about(trained, settings, episodes, before, returns)
-    refined = replace(trained, policies=policies, about={**trained.about, "refined": about})
+    cost = _cost(program, settings, episodes)
+    refined = replace(trained, policies=policies, about=_about(trained, cost, before, returns))
     document = {
         "run": trained.name,
         "episodes": episodes,
         "begins": [round(share * steps) for share in BEGINS],
-        **{name: about[name] for name in ("env_steps", "updates")},
+        "env_steps": cost["env_steps"],
+        "updates": cost["updates"],
         "seconds": round(time.perf_counter() - began, 2),
         "seeds": [_describe(program, index, before, rounds) for index in range(count)],
     }
     return refined, document
 
 
-def _about(
-    trained: Trained, settings: Refinement, episodes: int, before: np.ndarray, after: np.ndarray
-) -> dict[str, Any]:
-    """Returns what a refined policy's file tells of its refinement; env steps and updates are those of a seed."""
-    tasks, steps, rounds = len(trained.program.tasks), trained.program.family.episode_length, settings.rounds
-    taught = settings.teaching.passes * settings.teaching.all_episodes(tasks)
-    return {
-        "rounds": rounds,
-        "env_steps": rounds * steps * (settings.search.episodes(tasks) + 2 * tasks * episodes + taught),
-        "updates": rounds * settings.teaching.passes * settings.teaching.updates,
+def _cost(program: Program, settings: Refinement, episodes: int) -> dict[str, int]:
+    """Returns the rounds, and the env steps and gradient steps of a seed."""
+    tasks, rounds, passes = len(program.tasks), settings.rounds, settings.teaching.passes
+    played = settings.search.episodes(tasks) + 2 * tasks * episodes + passes * settings.teaching.all_episodes(tasks)
+    env_steps = rounds * played * program.family.episode_length
+    return {"rounds": rounds, "env_steps": env_steps, "updates": rounds * passes * settings.teaching.updates}
+
+
+def _about(trained: Trained, cost: dict[str, int], before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
+    """Returns what a refined policy's file tells of it; the costs of earlier refinements are included."""
+    earlier = trained.about.get("refined", {})
+    refined = {
+        **{name: value + earlier.get(name, 0) for name, value in cost.items()},
         "from": trained.fingerprint,
         "mean_returns": [[float(one.mean()) for one in pair] for pair in zip(before, after, strict=True)],
     }
+    return {**trained.about, "refined": refined}
 
 
 def _for_seeds(of_seed: Callable[..., Any]) -> Callable[..., Any]:

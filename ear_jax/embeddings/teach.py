@@ -96,7 +96,7 @@ def teach(
     Returns:
       The student's state, and how far it is from the teacher, on average over the last tenth of its gradient steps.
     """
-    key_play, *keys = jax.random.split(key, 1 + teaching.updates)
+    key_play, key_learn = jax.random.split(key)
     own = constant(program.agent.codes(teacher), program.family.action_size)
     under = jnp.where(student.filled == 0, schedules, own)
     play = partial(_play, program, teacher, student.policy, under, schedules, teaching.episodes)
@@ -116,7 +116,8 @@ def teach(
         change, state = optimiser.update(grad, state, policy)
         return (optax.apply_updates(policy, change), state), apart
 
-    (policy, state), apart = jax.lax.scan(update, (student.policy, student.optimiser), jnp.stack(keys))
+    keys = jax.random.split(key_learn, teaching.updates)
+    (policy, state), apart = jax.lax.scan(update, (student.policy, student.optimiser), keys)
     return Student(policy, state, known, filled), apart[-max(1, len(apart) // 10) :].mean()
 
 

@@ -110,10 +110,13 @@ def test_a_policy_learns_what_its_schedules_do_and_keeps_its_ltes(toy):
 
 
 @pytest.mark.slow
-def test_equal_seeds_refine_to_equal_bits(toy):
-    quick = Refinement(1, ScheduleSearch(1, 8, 1), Teaching(1, 1, 3, 8))
-    one, two = (refine(toy, quick, 1, seed=3)[0].fingerprint for _ in range(2))
-    assert one == two != toy.fingerprint
+def test_equal_seeds_refine_to_equal_bits_and_costs_add_up(toy):
+    quick = Refinement(1, ScheduleSearch(2, 16, 1), Teaching(1, 1, 3, 8))
+    (one, document), (two, _) = (refine(toy, quick, 1, seed=3) for _ in range(2))
+    assert one.fingerprint == two.fingerprint != toy.fingerprint
+    again = refine(one, quick, 1)[0].about["refined"]
+    assert again["env_steps"] == 2 * document["env_steps"]
+    assert (again["rounds"], again["from"]) == (2, one.fingerprint)
 
 
 def test_an_agent_without_a_sphere_is_refused(tmp_path):
