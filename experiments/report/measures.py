@@ -53,11 +53,14 @@ def refinements(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def refined_returns(runs: Sequence[Run]) -> str:
-    """Formats the mean return of refined policies, its spread and, if some runs were not refined, their number."""
-    after = [entry["rounds"][-1]["refined"] for entry in refinements(runs)]
-    if not after:
+    """Formats the mean return of refined policies; if only some runs were refined, also theirs before, and how many."""
+    found = refinements(runs)
+    if not found:
         return MISSING
-    return spread(after) if len(after) == len(runs) else f"{spread(after)} ({count(len(after))} of {count(len(runs))})"
+    before, after = [entry["mean_return"] for entry in found], [entry["rounds"][-1]["refined"] for entry in found]
+    if len(found) == len(runs):
+        return spread(after)
+    return f"{spread(before)} → {spread(after)} ({count(len(found))} of {count(len(runs))})"
 
 
 def score_table(runs: Sequence[Run]) -> np.ndarray:
