@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +11,7 @@ import tyro
 
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
-from ear_jax.cli.results import check_writable, keep, print_pictures, print_table
+from ear_jax.cli.results import check_writable, keep, print_table, show_and_keep
 from ear_jax.errors import UsageError
 from ear_jax.pretrained import SUFFIX
 
@@ -70,13 +69,8 @@ def main(words: list[str]) -> None:
     refined, document = refine(trained, settings, command.episodes, command.seed)
     save(command.file, refined, [])
     document = {**document, "file": str(command.file)}
-    pictures = keep(results_of(command.file), "refinement", "", document, draw_refine)
-    if command.json:
-        print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
-        return
-    _print(document)
-    sys.stdout.flush()
-    print_pictures(pictures)
+    kept = partial(keep, results_of(command.file), "refinement", "", document, draw_refine)
+    show_and_keep(document, command.json, _print, kept)
 
 
 def _print(document: dict[str, Any]) -> None:

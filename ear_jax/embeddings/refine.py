@@ -1,4 +1,4 @@
-"""Refinement: a policy is taught to do under each task's LTE what a schedule of its own LTEs does better.
+"""Refinement: a policy is taught to do under each task's LTE what a schedule of LTEs and small pushes does better.
 
 The policy of a task is often no best response among what the policy can do: critics do not resolve what a few steps
 under another LTE are worth, but whole episodes do. A search over schedules finds better episodes, and the networks are
@@ -66,6 +66,8 @@ def refine(trained: Trained, settings: Refinement, episodes: int = 20, seed: int
     own = jax.vmap(lambda codes: schedule.constant(codes, program.family.action_size))(table)
     play_all = _for_seeds(partial(play_schedules, program, episodes=episodes))
     pick = _for_seeds(partial(choose, program, episodes=episodes))
+    advance = _for_seeds(partial(search_epoch, program, settings.search))
+    learn = _for_seeds(partial(teach, program, settings.teaching))
 
     def play(policies: Params, schedules: jax.Array) -> np.ndarray:
         with phase(f"playing {episodes} episodes of {tasks} tasks"):
@@ -75,12 +77,12 @@ def refine(trained: Trained, settings: Refinement, episodes: int = 20, seed: int
     before = returns = play(policies, own)
     for number, of_round in enumerate(keys, 1):
         say(f"round {number} of {settings.rounds}: mean return {returns.mean():.1f}")
-        schedules, course = _search(program, settings.search, policies, table, of_round[0])
+        schedules, course = _search(program, settings.search, advance, policies, table, of_round[0])
         with phase("choosing among them and the tasks' own LTEs"):
             schedules = jax.block_until_ready(pick(policies, schedules, of_round[2]))
         scheduled = play(policies, schedules)
         say(f"schedules of LTEs: mean return {scheduled.mean():.1f}")
-        policies, apart = _teach(program, settings.teaching, policies, schedules, of_round[1])
+        policies, apart = _teach(program, settings.teaching, learn, policies, schedules, of_round[1])
         returns = play(policies, own)
         rounds.append((np.asarray(schedules), np.asarray(course), scheduled, apart, returns))
     cost = _cost(program, settings, episodes)
@@ -122,11 +124,15 @@ def _for_seeds(of_seed: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _search(
-    program: Program, search: ScheduleSearch, policies: Params, table: jax.Array, keys: jax.Array
+    program: Program,
+    search: ScheduleSearch,
+    advance: Callable[..., Any],
+    policies: Params,
+    table: jax.Array,
+    keys: jax.Array,
 ) -> tuple[jax.Array, list[np.ndarray]]:
     """Searches a schedule for each seed and task, [seeds, tasks, pieces, code + act], and tells each epoch's return."""
     state = jax.vmap(lambda codes: schedule.init(codes, program.family.action_size, search))(table)
-    advance = _for_seeds(partial(search_epoch, program, search))
     course = []
     for epoch in range(search.epochs):
         with phase(f"searching schedules of LTEs, epoch {epoch + 1} of {search.epochs}"):
@@ -136,11 +142,15 @@ def _search(
 
 
 def _teach(
-    program: Program, teaching: Teaching, teachers: Params, schedules: jax.Array, keys: jax.Array
+    program: Program,
+    teaching: Teaching,
+    learn: Callable[..., Any],
+    teachers: Params,
+    schedules: jax.Array,
+    keys: jax.Array,
 ) -> tuple[Params, np.ndarray]:
     """Teaches each seed's policy its schedules; returns the policies, and how far they are from them, [seeds]."""
     students = jax.vmap(partial(enrol, program, teaching))(teachers)
-    learn = _for_seeds(partial(teach, program, teaching))
     apart = jnp.zeros(len(keys))
     for number in range(teaching.passes):
         with phase(f"teaching them to the policy, pass {number + 1} of {teaching.passes}"):

@@ -20,6 +20,7 @@ from ear_jax.presets import preset_config
 from ear_jax.runs import records
 from ear_jax.runs.card import CURVE_POINTS, command_line, judge, limits, thinned
 from ear_jax.runs.export import read_about, read_policy, write_policy
+from ear_jax.runs.model_card import to_markdown
 from ear_jax.runs.trained import load
 from experiments import publish
 from experiments.__main__ import main
@@ -64,6 +65,23 @@ def test_without_an_evaluation_returns_are_the_last_rows_and_limits_unknown(reco
     assert {task["name"]: task["return"] for task in card["tasks"]} == last["returns"]
     assert (card["mean_return"], card["returns_from"]) == (last["mean_return"], "metrics.jsonl, last row")
     assert card["limits"] == "It has not been evaluated: which tasks it meets is not known."
+
+
+def test_a_refined_policy_ships_with_its_costs_and_those_it_was_chosen_among(record, folder):
+    assert main(["publish", str(record), "--refined"]) == 0
+    card, plain = pretrained.card("hopper-vel"), records.read_rows(record / METRICS)[-1]
+    (refined,) = json.loads((record / "refinement.json").read_text())["seeds"]
+    evaluation = json.loads((record / "refined-evaluation.json").read_text())
+    assert (folder / "hopper-vel.safetensors").read_bytes() == (record / "refined.safetensors").read_bytes()
+    assert card["mean_return"] == evaluation["mean_return"]
+    assert card["env_steps"] == plain["env_steps"] + card["refined"]["env_steps"] == evaluation["env_steps"]
+    assert card["refined"]["mean_returns"] == [
+        pytest.approx([refined["mean_return"], refined["rounds"][-1]["refined"]], abs=1e-3)
+    ]
+    others = [json.loads(path.read_text()) for path in RECORDS.glob("hopper-vel-ear-fast-seed*/refinement.json")]
+    returns = [entry["rounds"][-1]["refined"] for document in others for entry in document["seeds"]]
+    assert (card["seeds"], card["mean_of_seeds"]) == (len(returns), pytest.approx(np.mean(returns)))
+    assert f"{card['seeds']} seeds, mean return {card['mean_of_seeds']:.1f}" in to_markdown(card, "a.safetensors")
 
 
 def of_two_seeds(record: Path) -> None:
