@@ -175,7 +175,7 @@ OURS = (
     ),
     Experiment(
         "refined",
-        "EAR refined by schedules of its LTEs",
+        "EAR refined by PPO",
         methods(FAMILIES, EVALUATION, INTERPOLATION, REFINEMENT, REFINED_EVALUATION, REFINED_INTERPOLATION),
     ),
     Experiment("space", "how good EAR's spaces of LTEs are"),

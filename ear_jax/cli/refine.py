@@ -18,71 +18,75 @@ from ear_jax.pretrained import SUFFIX
 
 @dataclass(frozen=True, kw_only=True)
 class RefineCommand(OnRun):
-    """Teach a policy what schedules of its own task embeddings (LTEs) do better, and write the new policy to a file.
+    """Improve a trained policy by PPO, from whole episodes of all its tasks, and write the new policy to a file.
 
-    A search finds for each task the LTEs, and small pushes of the actions, under which an episode returns most; then
-    the networks learn to play that under the task's own LTE. All LTEs stay where they are.
+    All task embeddings (LTEs) stay where they are. Repeat the command to continue one that was stopped.
 
     Example: ear refine pretrained:hopper-vel refined.safetensors
     """
 
     file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE")]]
     """The new file, which must end in .safetensors; it takes the place of a run in every command."""
-    rounds: int = 2
-    """Rounds of searching and teaching, each with the policy of the round before."""
-    epochs: int = 12
-    """Epochs of each search."""
-    candidates: int = 48
-    """Schedules that an epoch tries for each task."""
-    starts: int = 2
-    """Random starts from which each is played."""
-    push: float = 0.3
-    """Standard deviation of what the search adds to actions, before tanh; 0: it only changes LTEs."""
+    iterations: int = 300
+    """Iterations, each of fresh episodes and of updates from them."""
+    train_episodes: int = 8
+    """Episodes of each task in an iteration."""
     passes: int = 3
-    """Passes of teaching a round: the policy plays, is corrected, and learns from all corrections."""
-    updates: int = 600
-    """Gradient steps of each pass."""
+    """Passes over an iteration's steps."""
+    divergence: float = 0.03
+    """KL divergence by which an iteration changes the policy, at first; it falls to a tenth, and sets the step size."""
+    noise: float = 0.5
+    """Factor on the policy's σ while it plays, which is at least 0.1."""
+    discount: float = 0.995
+    """Discount factor γ."""
     episodes: int = 20
     """Fresh episodes a task in which the policy before and after is compared."""
 
 
 def main(words: list[str]) -> None:
     command = parse(RefineCommand, words, "refine")
-    check_least(command, rounds=1, epochs=1, candidates=8, starts=1, passes=1, updates=1, episodes=1)
-    check_finite("--push", command.push)
-    if command.push < 0:
-        raise UsageError(f"--push {command.push:g} is too small; it must be at least 0")
+    check_least(command, iterations=1, train_episodes=1, passes=1, episodes=1)
+    for name in ("divergence", "noise", "discount"):
+        check_finite(f"--{name}", getattr(command, name))
+    if command.divergence <= 0:
+        raise UsageError(f"--divergence {command.divergence:g} is too small; it must be above 0")
+    if command.noise < 0:
+        raise UsageError(f"--noise {command.noise:g} is too small; it must be at least 0")
+    if not 0 < command.discount <= 1:
+        raise UsageError(f"--discount {command.discount:g} is out of range; it must be above 0 and at most 1")
     if command.file.suffix != SUFFIX:
         raise UsageError(f"{command.file} must end in {SUFFIX}")
     if command.file.exists():
         raise UsageError(f"{command.file} already exists; name another file")
     check_writable(command.file.parent)
     trained = command.load()
-    from ear_jax.embeddings.refine import Refinement, refine
-    from ear_jax.embeddings.schedule import ScheduleSearch
-    from ear_jax.embeddings.teach import Teaching
     from ear_jax.figures.refine import draw_refine
+    from ear_jax.learning.ppo import Ppo
+    from ear_jax.runs.refine import Refinement, refine
     from ear_jax.runs.trained import results_of, save
 
-    search = ScheduleSearch(command.epochs, command.candidates, command.starts, push=command.push)
-    settings = Refinement(command.rounds, search, Teaching(passes=command.passes, updates=command.updates))
-    refined, document = refine(trained, settings, command.episodes, command.seed)
+    ppo = Ppo(
+        episodes=command.train_episodes,
+        passes=command.passes,
+        divergence=command.divergence,
+        noise=command.noise,
+        discount=command.discount,
+    )
+    part = command.file.with_suffix(".part")
+    refined, document = refine(trained, Refinement(command.iterations, ppo), command.episodes, command.seed, part)
     save(command.file, refined, [])
+    part.unlink(missing_ok=True)
     document = {**document, "file": str(command.file)}
     kept = partial(keep, results_of(command.file), "refinement", "", document, draw_refine)
     show_and_keep(document, command.json, _print, kept)
 
 
 def _print(document: dict[str, Any]) -> None:
-    """Prints for each seed the returns of its tasks before and after, and those of the last schedules."""
+    """Prints for each seed the returns of its tasks before and after."""
     for entry in document["seeds"]:
-        last = entry["rounds"][-1]
-        columns = (entry["returns"], last["returns_scheduled"], last["returns_refined"])
-        means = (entry["mean_return"], last["scheduled"], last["refined"])
-        rows = [
-            (name, *(f"{value:.1f}" for value in values))
-            for name, *values in (*zip(entry["tasks"], *columns, strict=True), ("mean", *means))
-        ]
+        columns = (entry["tasks"], entry["returns_before"], entry["returns_after"])
+        rows = [(name, f"{before:.1f}", f"{after:.1f}") for name, before, after in zip(*columns, strict=True)]
+        rows.append(("mean", f"{entry['before']:.1f}", f"{entry['after']:.1f}"))
         title = f"seed {entry['seed']}: returns of {document['episodes']} fresh episodes a task"
-        print_table(("task", "before>", "last schedules>", "refined>"), rows, title)
+        print_table(("task", "before>", "refined>"), rows, title)
     print(f"{document['env_steps']:,} env steps and {document['updates']:,} updates per seed; {document['file']}")

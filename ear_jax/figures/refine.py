@@ -1,4 +1,4 @@
-"""The figure of `ear refine`: the return of each task before and after, and of the schedules in between."""
+"""The figure of `ear refine`: its course, and the return of each task before and after."""
 
 from __future__ import annotations
 
@@ -26,18 +26,16 @@ def draw_refine(figures: Path, document: dict[str, Any], label: str = "") -> lis
 
 
 def _draw(path: Path, entry: dict[str, Any]) -> Path:
-    before, places = np.array(entry["returns"]), np.arange(len(entry["returns"]))
+    gain = np.array(entry["returns_after"]) - np.array(entry["returns_before"])
+    places = np.arange(len(gain))
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")
-        axes.axhline(0, color="0.7", linewidth=0.8)
-        for number, found in enumerate(entry["rounds"], 1):
-            colour = look(number - 1)["color"]
-            gains = [np.array(found[name]) - before for name in ("returns_scheduled", "returns_refined")]
-            axes.plot(places, gains[0], "x", markersize=5, color=colour, label=f"round {number}: schedules")
-            axes.plot(places, gains[1], "o-", markersize=3, color=colour, label=f"round {number}: refined policy")
-        axes.set_xticks(places, [plain(name) for name in entry["tasks"]], rotation=60, ha="right", fontsize=6)
-        axes.set_ylabel("gain of return")
-        last = entry["rounds"][-1]["refined"]
-        axes.set_title(f"mean return {entry['mean_return']:.1f} before, {last:.1f} after", fontsize=8)
-        axes.legend(fontsize=6)
+        figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.0), layout="constrained")
+        left.plot(np.arange(1, len(entry["course"]) + 1), entry["course"], color=look(0)["color"], linewidth=0.8)
+        left.set_xlabel("iteration")
+        left.set_ylabel("mean return, with noise")
+        right.axhline(0, color="0.7", linewidth=0.8)
+        right.bar(places, gain, color=look(0)["color"])
+        right.set_xticks(places, [plain(name) for name in entry["tasks"]], rotation=60, ha="right", fontsize=6)
+        right.set_ylabel("gain of return, without noise")
+        figure.suptitle(f"mean return {entry['before']:.1f} before, {entry['after']:.1f} after", fontsize=8)
         return save_figure(figure, path)

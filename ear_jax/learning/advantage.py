@@ -1,4 +1,4 @@
-"""Advantages: returns of steps relative to a linear baseline fitted to the same episodes."""
+"""Advantages: returns of steps relative to what was expected, by a baseline fitted to the same episodes or a value."""
 
 from __future__ import annotations
 
@@ -46,7 +46,27 @@ def advantages(obs: jax.Array, reward: jax.Array, valid: jax.Array, discount: fl
     gram = jnp.einsum("sef,seg->fg", features, features) / count + RIDGE * jnp.eye(features.shape[-1])
     weights = jax.scipy.linalg.solve(gram, jnp.einsum("sef,se->f", features, to_go) / count, assume_a="pos")
     baseline = features @ weights  # 0 where not valid
-    surprise = reward + discount * jnp.concatenate([baseline[1:], jnp.zeros_like(baseline[:1])]) - baseline
-    advantage = returns_to_go(surprise, valid, discount * gae_lambda)
-    advantage = jnp.where(valid, advantage - jnp.sum(jnp.where(valid, advantage, 0.0)) / count, 0.0)
-    return advantage / (jnp.sqrt(jnp.sum(advantage**2) / count) + 1e-8)
+    return standardised(generalised_advantages(reward, baseline, valid, discount, gae_lambda), valid)
+
+
+def generalised_advantages(
+    reward: jax.Array, value: jax.Array, valid: jax.Array, discount: float, gae_lambda: float
+) -> jax.Array:
+    """Returns generalised advantages [steps, …] of complete episodes, 0 where not valid.
+
+    Args:
+      reward: [steps, …].
+      value: as `reward`, the return that is expected from each step on; 0 where not valid.
+      valid: bool, as `reward`, False after an episode's end.
+      discount: γ.
+      gae_lambda: λ.
+    """
+    surprise = reward + discount * jnp.concatenate([value[1:], jnp.zeros_like(value[:1])]) - value
+    return jnp.where(valid, returns_to_go(surprise, valid, discount * gae_lambda), 0.0)
+
+
+def standardised(advantage: jax.Array, valid: jax.Array) -> jax.Array:
+    """Gives valid advantages mean 0 and spread 1, given 0 where not valid."""
+    count = jnp.maximum(jnp.sum(valid), 1)
+    centred = jnp.where(valid, advantage - jnp.sum(advantage) / count, 0.0)
+    return centred / (jnp.sqrt(jnp.sum(centred**2) / count) + 1e-8)

@@ -62,13 +62,13 @@ def _live(name: str) -> Progress:
 
 
 class TrainingBar:
-    """A progress bar of epochs with the last block's return and speed."""
+    """A progress bar of epochs, or of what else `unit` names, with the last block's return and speed."""
 
-    def __init__(self, done: int, epochs: int):
+    def __init__(self, done: int, epochs: int, unit: str = "epoch"):
         columns = (SpinnerColumn(), BlockColumn())
         self._bar = Progress(*columns, console=console, disable=not is_live(), redirect_stdout=False)
-        self._task = self._bar.add_task("", total=epochs, completed=done, mean_return=None, speed="")
-        self._epochs = epochs
+        self._task = self._bar.add_task(unit, total=epochs, completed=done, mean_return=None, speed="")
+        self._epochs, self._unit = epochs, unit
 
     def __enter__(self) -> TrainingBar:
         self._bar.start()
@@ -83,7 +83,7 @@ class TrainingBar:
         self._bar.update(self._task, completed=epoch, mean_return=mean_return, speed=speed)
         if self._bar.disable:
             left = _clock(self._bar.tasks[0].time_remaining)
-            say(f"epoch {epoch}/{self._epochs} · return {mean_return:.1f} · {speed} · {left} left")
+            say(f"{self._unit} {epoch}/{self._epochs} · return {mean_return:.1f} · {speed} · {left} left")
 
 
 class StepsColumn(ProgressColumn):
@@ -106,9 +106,9 @@ class BlockColumn(ProgressColumn):
         left = f"{_clock(task.time_remaining)} left"
         speed = [task.fields["speed"]] if task.fields["speed"] else []
         forms = (
-            [f"epoch {done}", *mean_return, *speed, _clock(task.elapsed), left],
-            [f"epoch {done}", *mean_return, _clock(task.elapsed), left],
-            [f"epoch {done}", *mean_return, left],
+            [f"{task.description} {done}", *mean_return, *speed, _clock(task.elapsed), left],
+            [f"{task.description} {done}", *mean_return, _clock(task.elapsed), left],
+            [f"{task.description} {done}", *mean_return, left],
             [done, *(text.removeprefix("return ") for text in mean_return), left],
         )
         lines = [" · ".join(form) for form in forms]

@@ -180,7 +180,7 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
 def _describe_refinement(refined: dict[str, Any]) -> str:
     before, after = (sum(of_seeds) / len(of_seeds) for of_seeds in zip(*refined["mean_returns"], strict=True))
     return (
-        f"refined by what schedules of its LTEs do better: {refined['env_steps']:,} env steps and "
+        f"refined by PPO: {refined['env_steps']:,} env steps and "
         f"{refined['updates']:,} gradient steps per seed, mean return {before:.1f} before, {after:.1f} after"
     )
 

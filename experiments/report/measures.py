@@ -57,7 +57,7 @@ def refined_returns(runs: Sequence[Run]) -> str:
     found = refinements(runs)
     if not found:
         return MISSING
-    before, after = [entry["mean_return"] for entry in found], [entry["rounds"][-1]["refined"] for entry in found]
+    before, after = ([entry[when] for entry in found] for when in ("before", "after"))
     if len(found) == len(runs):
         return spread(after)
     return f"{spread(before)} → {spread(after)} ({count(len(found))} of {count(len(runs))})"

@@ -112,7 +112,7 @@ def refined(index: RunIndex) -> list[Block]:
     for method in EXPERIMENTS["refined"].methods:
         runs = [run for run in index.of(method) if refinements([run])]
         found, paper = refinements(runs), paper_return(method.family, method.agent)
-        before = spread([entry["mean_return"] for entry in found]) if found else MISSING
+        before = spread([entry["before"] for entry in found]) if found else MISSING
         blended = [" → ".join(str(successes(runs, measure, of) or MISSING) for of in BLENDS) for measure in MEASURES]
         steps = [count(run.document(REFINEMENT.name)["env_steps"]) for run in runs[:1]]
         cells = (

@@ -9,8 +9,7 @@ import pytest
 from ear_jax.cli.main import main
 from ear_jax.runs.trained import describe, load, pick
 
-QUICK = ("--rounds", "1", "--epochs", "1", "--candidates", "8", "--starts", "1")
-QUICK += ("--passes", "1", "--updates", "2", "--episodes", "1")
+QUICK = ("--iterations", "1", "--train-episodes", "1", "--passes", "1", "--episodes", "1")
 
 
 def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished, tmp_path, capsys):
@@ -21,9 +20,10 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
     assert refined.about["refined"]["from"] == before.fingerprint
     assert refined.env_steps == before.env_steps + document["env_steps"]
     for index, entry in enumerate(document["seeds"]):
-        means = entry["mean_return"], entry["rounds"][0]["refined"]
+        means = entry["before"], entry["after"]
         assert "mean return {:.1f} before, {:.1f} after".format(*means) in describe(pick(refined, index), [])
     assert (tmp_path / "refined-results" / "refinement.json").is_file()
+    assert not (tmp_path / "refined.part").exists()
     assert len(document["figures"]) == len(document["seeds"])
     assert main(["refine", str(finished), str(file), *QUICK]) == 2
     assert f"{file} already exists; name another file" in capsys.readouterr().err
@@ -33,10 +33,11 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
     ("words", "said"),
     [
         (["refined.onnx"], "refined.onnx must end in .safetensors"),
-        (["refined.safetensors", "--candidates", "7"], "--candidates 7 is too small; it must be at least 8"),
-        (["refined.safetensors", "--push", "-1"], "--push -1 is too small; it must be at least 0"),
-        (["refined.safetensors", "--push", "nan"], "--push"),
-        (["nowhere/on/earth.safetensors", "--rounds", "0"], "--rounds 0 is too small"),
+        (["refined.safetensors", "--divergence", "0"], "--divergence 0 is too small; it must be above 0"),
+        (["refined.safetensors", "--noise", "-1"], "--noise -1 is too small; it must be at least 0"),
+        (["refined.safetensors", "--discount", "1.1"], "--discount 1.1 is out of range"),
+        (["refined.safetensors", "--noise", "nan"], "--noise"),
+        (["nowhere/on/earth.safetensors", "--iterations", "0"], "--iterations 0 is too small"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_loaded(words, said, capsys):

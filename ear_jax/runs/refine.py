@@ -1,0 +1,210 @@
+"""Refinement: a trained policy is improved by PPO, from whole episodes of all tasks, while its codes stay as they are.
+
+SAC's critics do not resolve what a slightly better start or gait is worth; whole episodes do.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ear_jax.agents.networks import Params
+from ear_jax.errors import RunError, UsageError
+from ear_jax.learning.ppo import Ppo, PpoLearner, PpoState, batches
+from ear_jax.process.runtime import compiler_options
+from ear_jax.process.stopping import Stopped, StopRequest
+from ear_jax.process.terminal import TrainingBar, phase, say
+from ear_jax.runs import safetensors, training
+from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
+from ear_jax.runs.rollouts import check_rollouts
+from ear_jax.runs.trained import Trained
+
+BLOCK = 10  # iterations between saves
+WARM_UP = 5  # iterations in which only the value learns
+LAST = 0.1  # the last iteration's share of the divergence
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """Settings of a refinement."""
+
+    iterations: int = 300
+    ppo: Ppo = field(default_factory=Ppo)
+
+    def divergence(self, number: int) -> float:
+        """Returns the divergence that is wanted of an iteration, counted from 0."""
+        share = 1 - (1 - LAST) * number / self.iterations
+        return self.ppo.divergence * share if number >= WARM_UP else 0.0
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a refinement has been through."""
+
+    before: list[list[float]]  # returns of the policies that it began with, [seeds, tasks]
+    iteration: int = 0
+    seconds: float = 0.0
+    returns: tuple[list[float], ...] = ()  # of each iteration with noise, the mean over tasks, [iterations, seeds]
+
+
+def refine(
+    trained: Trained, settings: Refinement, episodes: int = 20, seed: int = 0, part: Path | None = None
+) -> tuple[Trained, dict[str, Any]]:
+    """Refines every seed's policy.
+
+    Args:
+      trained: the run.
+      settings: of the refinement.
+      episodes: fresh episodes a task in which policies are compared before and after.
+      seed: seeds everything.
+      part: a file to save to every few iterations. If it is there, the refinement continues from it, with the same
+        results as if it had never stopped.
+
+    Returns:
+      The refined policies, whose `about` tells of it, and the document that `ear refine --json` prints.
+
+    Raises:
+      UsageError: `part` belongs to another refinement.
+      RunError: the episodes do not fit in memory, or `part` is damaged or cannot be written.
+      Stopped: a signal stopped it after it saved.
+    """
+    program, count = trained.program, trained.program.config.seeds
+    family, at_once = program.family, count * len(program.tasks) * max(episodes, settings.ppo.episodes)
+    check_rollouts(program, at_once, family.episode_length, 2 * family.observation_size)
+    learner = PpoLearner(program.agent, family, program.tasks.params, settings.ppo)
+    key_learn, key_value, key_play = jax.random.split(jax.random.key(seed), 3)
+    state = jax.vmap(learner.init)(trained.policies, jax.random.split(key_value, count))
+    play = partial(_play, trained, jax.random.split(key_play, count), episodes)
+    about = {"of": trained.fingerprint, "seed": seed, "episodes": episodes, **asdict(settings)}
+    if part is not None and part.exists():
+        state, course = _read(part, state, about)
+    else:
+        course = Course(play(trained.policies).tolist())
+    keep = partial(_write, part, about) if part is not None else None
+    state, course = _improve(learner, settings, state, course, jax.random.split(key_learn, count), keep)
+    after = play(state.policy)
+    cost = _cost(trained, settings)
+    refined = replace(trained, policies=state.policy, about=_about(trained, cost, np.array(course.before), after))
+    document = {
+        "run": trained.name,
+        "episodes": episodes,
+        **cost,
+        "seconds": round(course.seconds, 2),
+        "seeds": [_describe(trained, index, course, after) for index in range(count)],
+    }
+    return refined, document
+
+
+def _improve(
+    learner: PpoLearner,
+    settings: Refinement,
+    state: PpoState,
+    course: Course,
+    keys: jax.Array,
+    keep: Callable[[PpoState, Course], None] | None,
+) -> tuple[PpoState, Course]:
+    """Makes the iterations that are left; between them it saves, and stops if a signal asks for it."""
+    improve = jax.jit(jax.vmap(learner.improve, (0, None, 0)), compiler_options=compiler_options())
+    say(f"mean return before: {np.mean(course.before):.1f}")
+    with StopRequest(say) as request, TrainingBar(course.iteration, settings.iterations, "iteration") as bar:
+        while course.iteration < settings.iterations:
+            began, returns = time.perf_counter(), []
+            for number in range(course.iteration, min(course.iteration + BLOCK, settings.iterations)):
+                of_iteration = jax.vmap(jax.random.fold_in, (0, None))(keys, number)
+                state, metrics = improve(state, jnp.float32(settings.divergence(number)), of_iteration)
+                returns.append(np.asarray(metrics["returns"]).mean(axis=-1).tolist())
+            seconds = time.perf_counter() - began
+            course = replace(
+                course,
+                iteration=course.iteration + len(returns),
+                seconds=course.seconds + seconds,
+                returns=(*course.returns, *returns),
+            )
+            if keep:
+                keep(state, course)
+            rates = (len(returns) * len(keys) * number / seconds for number in _per_iteration(learner))
+            bar.update(course.iteration, float(np.mean(returns)), *rates)
+            if request.signal is not None and course.iteration < settings.iterations:
+                kept = "; the same command continues" if keep else ""
+                say(f"stopped at iteration {course.iteration}{kept}")
+                raise Stopped(request.signal)
+    return state, course
+
+
+def _per_iteration(learner: PpoLearner) -> tuple[int, int]:
+    """Returns the env steps and the updates of an iteration of one seed."""
+    settings, tasks = learner.settings, len(jax.tree.leaves(learner.tasks)[0])
+    steps = tasks * settings.episodes * learner.family.episode_length
+    return steps, settings.passes * batches(steps, settings.batch)[0]
+
+
+def _play(trained: Trained, keys: jax.Array, episodes: int, policies: Params) -> np.ndarray:
+    """Returns the mean returns [seeds, tasks] of policies."""
+    program = trained.program
+
+    def of_seed(policy: Params, key: jax.Array) -> jax.Array:
+        return training.evaluate(program, policy, key, episodes).returns.mean(axis=-1)
+
+    with phase(f"playing {episodes} episodes of {len(program.tasks)} tasks"):
+        return np.asarray(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(policies, keys))
+
+
+def _write(part: Path, about: dict[str, Any], state: PpoState, course: Course) -> None:
+    """Saves what has been reached."""
+    arrays = {name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
+    metadata = {"refinement": json.dumps(about), "course": json.dumps(asdict(course))}
+    safetensors.write(part, arrays, {**metadata, "sha256": safetensors.digest(arrays, metadata)})
+
+
+def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, Course]:
+    """Reads what `_write` has saved; raises UsageError if it belongs to another refinement, RunError if damaged."""
+    arrays, metadata = safetensors.read(part)
+    sha256 = metadata.pop("sha256", None)
+    if sha256 != safetensors.digest(arrays, metadata):
+        raise RunError(f"{part} is damaged; delete it to begin anew")
+    found = json.loads(metadata["refinement"])
+    if found != json.loads(json.dumps(about)) or first_difference(layout(named_leaves(like)), layout(arrays)):
+        raise UsageError(f"{part} belongs to a refinement with another policy or settings; delete it to begin anew")
+    course = json.loads(metadata["course"])
+    return rebuild(like, arrays), Course(**{**course, "returns": tuple(course["returns"])})
+
+
+def _cost(trained: Trained, settings: Refinement) -> dict[str, int]:
+    """Returns the iterations, and the env steps and updates of a seed."""
+    program = trained.program
+    steps, updates = _per_iteration(PpoLearner(program.agent, program.family, program.tasks.params, settings.ppo))
+    number = settings.iterations
+    return {"iterations": number, "env_steps": number * steps, "updates": number * updates}
+
+
+def _about(trained: Trained, cost: dict[str, int], before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
+    """Returns what a refined policy's file tells of it; the costs of earlier refinements are included."""
+    earlier = trained.about.get("refined", {})
+    refined = {
+        **{name: value + earlier.get(name, 0) for name, value in cost.items()},
+        "from": trained.fingerprint,
+        "mean_returns": [[float(one.mean()) for one in pair] for pair in zip(before, after, strict=True)],
+    }
+    return {**trained.about, "refined": refined}
+
+
+def _describe(trained: Trained, index: int, course: Course, after: np.ndarray) -> dict[str, Any]:
+    """Turns one seed's returns into its part of the document."""
+    return {
+        "seed": trained.program.config.seed + index,
+        "tasks": trained.program.tasks.names,
+        "before": float(np.mean(course.before[index])),
+        "after": float(after[index].mean()),
+        "returns_before": course.before[index],
+        "returns_after": after[index].tolist(),
+        "course": [round(returns[index], 3) for returns in course.returns],
+    }

@@ -1,0 +1,95 @@
+"""Refining by PPO, for an agent whose action is at first the first number of its code."""
+
+from __future__ import annotations
+
+import jax
+import numpy as np
+import pytest
+
+from ear_jax.errors import RunError, UsageError
+from ear_jax.learning.ppo import Ppo
+from ear_jax.process.stopping import Stopped
+from ear_jax.runs import refine as refining
+from ear_jax.runs.refine import Refinement, refine
+from ear_jax.runs.trained import policy_of
+from tests.helpers.teachable import on_clock
+
+SMALL = Refinement(6, Ppo(episodes=2, batch=40))
+
+
+@pytest.fixture(scope="module")
+def toy():
+    return on_clock(seeds=2)
+
+
+@pytest.fixture
+def stops(monkeypatch):
+    """Asks a refinement to stop after its first block."""
+
+    class Request(refining.StopRequest):
+        def __enter__(self):
+            self.signal = 2
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+    monkeypatch.setattr(refining, "BLOCK", 2)
+    monkeypatch.setattr(refining, "StopRequest", Request)
+
+
+def test_a_policy_learns_what_returns_more_and_keeps_its_ltes(toy):
+    """Under its own code the first task's action is right for 4 steps of 20 and off by 1 for 16."""
+    refined, document = refine(toy, Refinement(60, Ppo(divergence=0.3, lr=1e-3, least_noise=0.3)), episodes=1)
+    for index, seed in enumerate(document["seeds"]):
+        assert seed["before"] == pytest.approx(-16, abs=1e-3)
+        assert seed["after"] > -8
+        assert len(seed["course"]) == 60
+        now, before = policy_of(refined, index), policy_of(toy, index)
+        np.testing.assert_array_equal(toy.program.agent.codes(now), toy.program.agent.codes(before))
+    assert document["env_steps"] == refined.about["refined"]["env_steps"] == 60 * 2 * 8 * 20
+    assert document["updates"] == 60 * 3
+
+
+def test_one_that_was_stopped_continues_bit_by_bit(toy, tmp_path, stops, request):
+    part = tmp_path / "refined.part"
+    whole, document = refine(toy, Refinement(2, SMALL.ppo), episodes=1, seed=3)
+    for iteration in (2, 4):
+        with pytest.raises(Stopped):
+            refine(toy, SMALL, 1, 3, part)
+        assert refining._read(part, refining_state(toy), about(toy))[1].iteration == iteration
+    continued, ends = refine(toy, SMALL, 1, 3, part)
+    request.getfixturevalue("monkeypatch").undo()
+    whole, document = refine(toy, SMALL, 1, 3)
+    assert continued.fingerprint == whole.fingerprint != toy.fingerprint
+    assert {**ends, "seconds": 0} == {**document, "seconds": 0}
+
+
+def refining_state(toy):
+    learner = refining.PpoLearner(toy.program.agent, toy.program.family, toy.program.tasks.params, SMALL.ppo)
+    return jax.vmap(learner.init)(toy.policies, jax.random.split(jax.random.key(0), 2))
+
+
+def about(toy):
+    return {"of": toy.fingerprint, "seed": 3, "episodes": 1, **refining.asdict(SMALL)}
+
+
+def test_what_was_kept_of_another_refinement_or_is_damaged_is_refused(toy, tmp_path, stops):
+    part = tmp_path / "refined.part"
+    with pytest.raises(Stopped):
+        refine(toy, SMALL, 1, part=part)
+    with pytest.raises(UsageError, match="another policy or settings; delete it"):
+        refine(toy, SMALL, 1, seed=1, part=part)
+    content = bytearray(part.read_bytes())
+    content[-1] ^= 1
+    part.write_bytes(content)
+    with pytest.raises(RunError, match="damaged; delete it"):
+        refine(toy, SMALL, 1, part=part)
+
+
+def test_costs_of_refinements_add_up(toy):
+    quick = Refinement(1, Ppo(episodes=1))
+    one, document = refine(toy, quick, 1)
+    again = refine(one, quick, 1)[0].about["refined"]
+    assert again["env_steps"] == 2 * document["env_steps"]
+    assert (again["iterations"], again["from"]) == (2, one.fingerprint)
