@@ -130,10 +130,7 @@ def among_seeds(trained: Trained, refined: bool) -> dict[str, Any]:
 
     ours = method(trained.program.config)
     runs = [run for run in recorded_runs() if method(run.config) == ours]
-    if refined:
-        returns = [entry["after"] for entry in refinements(runs)]
-    else:
-        returns = [mean_return(run) for run in runs]
+    returns = [entry["after"] for entry in refinements(runs)] if refined else [mean_return(run) for run in runs]
     return {"seeds": len(returns), "mean_of_seeds": sum(returns) / len(returns)} if returns else {}
 
 

@@ -55,6 +55,7 @@ class PpoState:
     value: Params
     value_optimiser: Any
     lr: jax.Array  # the policy's step size
+    scale: jax.Array  # [tasks], mean size of a reward in the first iteration; 0 before
 
 
 @struct.dataclass
@@ -91,7 +92,9 @@ class PpoLearner:
         """Returns the state of a policy whose value is not known yet."""
         value = self._value.init(key)
         optimisers = _adam().init(policy["networks"]), _value_adam().init(value)
-        return PpoState(policy, optimisers[0], value, optimisers[1], jnp.float32(self.settings.lr))
+        return PpoState(
+            policy, optimisers[0], value, optimisers[1], jnp.float32(self.settings.lr), jnp.zeros(self._value.tasks)
+        )
 
     def improve(self, state: PpoState, divergence: jax.Array, key: jax.Array) -> tuple[PpoState, dict[str, jax.Array]]:
         """Makes one iteration: plays episodes and learns from them.
@@ -107,7 +110,7 @@ class PpoLearner:
         """
         key_play, key_learn = jax.random.split(key)
         codes = self.agent.codes(state.policy)
-        lesson, returns = self.play(state, codes, key_play)
+        state, lesson, returns = self.play(state, codes, key_play)
         items = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[3:]), lesson)
         rate = jnp.where(divergence > 0, state.lr, 0.0)
         count, size = batches(len(items.target), self.settings.batch)
@@ -124,8 +127,11 @@ class PpoLearner:
         lr = jnp.where(divergence > 0, followed(state.lr, moved, divergence), state.lr)
         return replace(state, lr=lr), {"returns": returns, "divergence": moved, "lr": rate}
 
-    def play(self, state: PpoState, codes: jax.Array, key: jax.Array) -> tuple[Lesson, jax.Array]:
-        """Plays whole episodes under each task's code [tasks, code]; also gives their mean returns [tasks]."""
+    def play(self, state: PpoState, codes: jax.Array, key: jax.Array) -> tuple[PpoState, Lesson, jax.Array]:
+        """Plays whole episodes under each task's code [tasks, code]; also gives their mean returns [tasks].
+
+        The first episodes also set the scale of each task's rewards.
+        """
         family, agent, settings = self.family, self.agent, self.settings
         key_start, key_noise = jax.random.split(key)
         shape = (family.episode_length, len(codes), settings.episodes)
@@ -142,20 +148,22 @@ class PpoLearner:
         behaviour = jax.vmap(jax.vmap(of_task), (None, 0))(codes, obs)
         raw = behaviour.mean + jnp.exp(self.narrowed(behaviour).log_std) * noise
         steps = Steps(obs, task, time, behaviour, raw, valid)
-        return self._lesson(state, steps, reward), jnp.sum(reward, axis=0).mean(axis=-1)
+        size = jnp.sum(jnp.abs(reward), axis=(0, 2)) / jnp.maximum(jnp.sum(valid, axis=(0, 2)), 1) + 1e-6
+        state = replace(state, scale=jnp.where(state.scale > 0, state.scale, size))
+        return state, self._lesson(state, steps, reward), jnp.sum(reward, axis=0).mean(axis=-1)
 
     def _lesson(self, state: PpoState, steps: Steps, reward: jax.Array) -> Lesson:
-        value = jnp.where(steps.valid, self.values(state.value, state.policy, steps), 0.0)
+        value = jnp.where(steps.valid, self.values(state, state.value, steps), 0.0)
         advantage = generalised_advantages(reward, value, steps.valid, self.settings.discount, self.settings.gae_lambda)
         return Lesson(steps, jax.vmap(standardised, 1, 1)(advantage, steps.valid), advantage + value)
 
-    def values(self, value: Params, policy: Params, steps: Steps) -> jax.Array:
-        """Returns the values of steps, shaped as `steps.time`."""
+    def values(self, state: PpoState, value: Params, steps: Steps) -> jax.Array:
+        """Returns the values of steps, shaped as `steps.time`, given the value's parameters."""
         shape = steps.time.shape
         obs = steps.obs.reshape(-1, steps.obs.shape[-1])
 
         def of_step(obs: jax.Array, task: jax.Array, time: jax.Array) -> jax.Array:
-            return self._value(value, policy["standardiser"](obs), task, time)
+            return state.scale[task] * self._value(value, state.policy["standardiser"](obs), task, time)
 
         return jax.vmap(of_step)(obs, steps.task.reshape(-1), steps.time.reshape(-1)).reshape(shape)
 
@@ -171,15 +179,17 @@ class PpoLearner:
             return _mean(loss, steps.valid), _mean(divergence, steps.valid)
 
         def value_loss(value: Params) -> jax.Array:
-            found = self.values(value, policy, steps)
-            return _mean(((found - lesson.target) / self._value.horizon(jnp.int32(0))) ** 2, steps.valid)
+            wrong = (self.values(state, value, steps) - lesson.target) / state.scale[steps.task]
+            return _mean((wrong / self._value.horizon(jnp.int32(0))) ** 2, steps.valid)
 
         grad, divergence = jax.grad(policy_loss, has_aux=True)(policy["networks"])
         change, optimiser = _adam().update(grad, state.optimiser)
         networks = jax.tree.map(lambda old, step: old - rate * step, policy["networks"], change)
         change, value_optimiser = _value_adam().update(jax.grad(value_loss)(state.value), state.value_optimiser)
         value = optax.apply_updates(state.value, change)
-        return PpoState({**policy, "networks": networks}, optimiser, value, value_optimiser, state.lr), divergence
+        policy = {**policy, "networks": networks}
+        state = replace(state, policy=policy, optimiser=optimiser, value=value, value_optimiser=value_optimiser)
+        return state, divergence
 
     def surrogate(
         self, new: Gaussian, old: Gaussian, raw: jax.Array, advantage: jax.Array

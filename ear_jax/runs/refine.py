@@ -28,8 +28,8 @@ from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained
 
-BLOCK = 10  # iterations between saves
-WARM_UP = 5  # iterations in which only the value learns
+BLOCK = 10  # iterations between lines of progress and saves
+WARM_UP = 10  # iterations in which only the value learns
 LAST = 0.1  # the last iteration's share of the divergence
 
 
@@ -117,26 +117,22 @@ def _improve(
     say(f"mean return before: {np.mean(course.before):.1f}")
     with StopRequest(say) as request, TrainingBar(course.iteration, settings.iterations, "iteration") as bar:
         while course.iteration < settings.iterations:
-            began, returns = time.perf_counter(), []
-            for number in range(course.iteration, min(course.iteration + BLOCK, settings.iterations)):
-                of_iteration = jax.vmap(jax.random.fold_in, (0, None))(keys, number)
-                state, metrics = improve(state, jnp.float32(settings.divergence(number)), of_iteration)
-                returns.append(np.asarray(metrics["returns"]).mean(axis=-1).tolist())
+            began, number = time.perf_counter(), course.iteration
+            of_iteration = jax.vmap(jax.random.fold_in, (0, None))(keys, number)
+            state, metrics = improve(state, jnp.float32(settings.divergence(number)), of_iteration)
+            returns = np.asarray(metrics["returns"]).mean(axis=-1).tolist()
             seconds = time.perf_counter() - began
-            course = replace(
-                course,
-                iteration=course.iteration + len(returns),
-                seconds=course.seconds + seconds,
-                returns=(*course.returns, *returns),
-            )
-            if keep:
+            course = Course(course.before, number + 1, course.seconds + seconds, (*course.returns, returns))
+            ended = course.iteration == settings.iterations
+            signal = None if ended else request.signal
+            if keep and (signal or ended or course.iteration % BLOCK == 0):
                 keep(state, course)
-            rates = (len(returns) * len(keys) * number / seconds for number in _per_iteration(learner))
-            bar.update(course.iteration, float(np.mean(returns)), *rates)
-            if request.signal is not None and course.iteration < settings.iterations:
-                kept = "; the same command continues" if keep else ""
-                say(f"stopped at iteration {course.iteration}{kept}")
-                raise Stopped(request.signal)
+            if ended or course.iteration % BLOCK == 0:
+                rates = (len(keys) * each / seconds for each in _per_iteration(learner))
+                bar.update(course.iteration, float(np.mean(course.returns[-BLOCK:])), *rates)
+            if signal is not None:
+                say(f"stopped at iteration {course.iteration}" + "; the same command continues" * bool(keep))
+                raise Stopped(signal)
     return state, course
 
 

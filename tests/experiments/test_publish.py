@@ -75,9 +75,7 @@ def test_a_refined_policy_ships_with_its_costs_and_those_it_was_chosen_among(rec
     assert (folder / "hopper-vel.safetensors").read_bytes() == (record / "refined.safetensors").read_bytes()
     assert card["mean_return"] == evaluation["mean_return"]
     assert card["env_steps"] == plain["env_steps"] + card["refined"]["env_steps"] == evaluation["env_steps"]
-    assert card["refined"]["mean_returns"] == [
-        pytest.approx([refined["before"], refined["after"]], abs=1e-3)
-    ]
+    assert card["refined"]["mean_returns"] == [pytest.approx([refined["before"], refined["after"]], abs=1e-3)]
     others = [json.loads(path.read_text()) for path in RECORDS.glob("hopper-vel-ear-fast-seed*/refinement.json")]
     returns = [entry["after"] for document in others for entry in document["seeds"]]
     assert (card["seeds"], card["mean_of_seeds"]) == (len(returns), pytest.approx(np.mean(returns)))

@@ -79,7 +79,7 @@ def test_targets_are_returns_where_lambda_is_one(toy):
     learner = learner_of(toy, episodes=1, discount=1.0, gae_lambda=1.0, noise=0.0, least_noise=1e-6)
     policy = policy_of(toy, 0)
     state = learner.init(policy, jax.random.key(0))
-    lesson, returns = learner.play(state, toy.program.agent.codes(policy), jax.random.key(0))
+    _, lesson, returns = learner.play(state, toy.program.agent.codes(policy), jax.random.key(0))
     np.testing.assert_allclose(returns, [-16, -16], atol=1e-2)
     np.testing.assert_allclose(lesson.target[0, :, 0], returns, atol=1e-4)
     np.testing.assert_allclose(lesson.advantage.mean(axis=(0, 2)), 0, atol=1e-5)
