@@ -81,7 +81,7 @@ def check_least(command: Any, **least: int) -> None:
     """Raises UsageError for the first of the named settings below its minimum."""
     for name, limit in least.items():
         if (value := getattr(command, name)) < limit:
-            raise UsageError(f"--{name} {value} is too small; it must be at least {limit}")
+            raise UsageError(f"--{name.replace('_', '-')} {value} is too small; it must be at least {limit}")
 
 
 def _check_flags(words: list[str], flags: dict[str, Flag], more: str) -> None:

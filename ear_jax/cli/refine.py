@@ -9,9 +9,10 @@ from typing import Annotated, Any
 
 import tyro
 
-from ear_jax.cli.arguments import check_finite, check_least, parse
+from ear_jax.cli.arguments import check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, print_table, show_and_keep
+from ear_jax.config import flag
 from ear_jax.errors import UsageError
 from ear_jax.pretrained import SUFFIX
 
@@ -29,31 +30,32 @@ class RefineCommand(OnRun):
     """The new file, which must end in .safetensors; it takes the place of a run in every command."""
     iterations: int = 300
     """Iterations, each of fresh episodes and of updates from them."""
-    train_episodes: int = 8
-    """Episodes of each task in an iteration."""
-    passes: int = 3
-    """Passes over an iteration's steps."""
+    iteration_episodes: int = 80
+    """Episodes of an iteration, shared evenly by the tasks."""
     divergence: float = 0.03
     """KL divergence by which an iteration changes the policy, at first; it falls to a tenth, and sets the step size."""
-    noise: float = 0.5
-    """Factor on the policy's σ while it plays, which is at least 0.1."""
-    discount: float = 0.995
-    """Discount factor γ."""
+    noise: Annotated[float | None, option("FLOAT", "0.5; ant-dir: 1")] = None
+    """Factor on the policy's σ while it plays."""
+    least_noise: Annotated[float | None, option("FLOAT", "0.1; ant-dir: 0.2")] = None
+    """The least σ while it plays, before tanh."""
     episodes: int = 20
     """Fresh episodes a task in which the policy before and after is compared."""
+
+    @property
+    def given(self) -> dict[str, float]:
+        """The numbers that go over those of the family."""
+        numbers = {"divergence": self.divergence, "noise": self.noise, "least_noise": self.least_noise}
+        return {name: number for name, number in numbers.items() if number is not None}
 
 
 def main(words: list[str]) -> None:
     command = parse(RefineCommand, words, "refine")
-    check_least(command, iterations=1, train_episodes=1, passes=1, episodes=1)
-    for name in ("divergence", "noise", "discount"):
-        check_finite(f"--{name}", getattr(command, name))
-    if command.divergence <= 0:
-        raise UsageError(f"--divergence {command.divergence:g} is too small; it must be above 0")
-    if command.noise < 0:
-        raise UsageError(f"--noise {command.noise:g} is too small; it must be at least 0")
-    if not 0 < command.discount <= 1:
-        raise UsageError(f"--discount {command.discount:g} is out of range; it must be above 0 and at most 1")
+    check_least(command, iterations=1, iteration_episodes=1, episodes=1)
+    for name, number in command.given.items():
+        check_finite(flag(name), number)
+        if number < 0 or (number == 0 and name != "noise"):
+            least = "at least 0" if name == "noise" else "above 0"
+            raise UsageError(f"{flag(name)} {number:g} is too small; it must be {least}")
     if command.file.suffix != SUFFIX:
         raise UsageError(f"{command.file} must end in {SUFFIX}")
     if command.file.exists():
@@ -65,15 +67,10 @@ def main(words: list[str]) -> None:
     from ear_jax.runs.refine import Refinement, refine
     from ear_jax.runs.trained import results_of, save
 
-    ppo = Ppo(
-        episodes=command.train_episodes,
-        passes=command.passes,
-        divergence=command.divergence,
-        noise=command.noise,
-        discount=command.discount,
-    )
+    numbers: dict[str, Any] = {**trained.program.family.refining, **command.given}
+    settings = Refinement(command.iterations, Ppo(episodes=command.iteration_episodes, **numbers))
     part = command.file.with_suffix(".part")
-    refined, document = refine(trained, Refinement(command.iterations, ppo), command.episodes, command.seed, part)
+    refined, document = refine(trained, settings, command.episodes, command.seed, part)
     save(command.file, refined, [])
     part.unlink(missing_ok=True)
     document = {**document, "file": str(command.file)}

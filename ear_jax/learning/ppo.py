@@ -35,7 +35,7 @@ LR_RANGE = (1e-6, 1e-3)
 class Ppo:
     """Settings of an iteration."""
 
-    episodes: int = 8  # a task
+    episodes: int = 80  # shared evenly by the tasks
     passes: int = 3  # over the iteration's steps
     batch: int = 2000  # steps a gradient step
     discount: float = 0.995
@@ -88,6 +88,11 @@ class PpoLearner:
     tasks: TaskParams  # each leaf [tasks]
     settings: Ppo
 
+    @property
+    def episodes(self) -> int:
+        """The episodes of each task in an iteration."""
+        return -(-self.settings.episodes // self._value.tasks)
+
     def init(self, policy: Params, key: jax.Array) -> PpoState:
         """Returns the state of a policy whose value is not known yet."""
         value = self._value.init(key)
@@ -132,13 +137,13 @@ class PpoLearner:
 
         The first episodes also set the scale of each task's rewards.
         """
-        family, agent, settings = self.family, self.agent, self.settings
+        family, agent = self.family, self.agent
         key_start, key_noise = jax.random.split(key)
-        shape = (family.episode_length, len(codes), settings.episodes)
+        shape = (family.episode_length, len(codes), self.episodes)
         noise = jax.random.normal(key_noise, (*shape, family.action_size))
         act = act_with(replace(agent, distribution=self._drawn_from), state.policy, codes)
         env = BatchedEnv(family, resets=False)
-        begun = env.start(key_start, self.tasks, settings.episodes)
+        begun = env.start(key_start, self.tasks, self.episodes)
         _, (obs, outcome, over, finite) = rollout(env, act, begun, noise, _record)
         valid = first_episode(over) & finite
         obs = jnp.where(valid[..., None], obs, 0.0)  # what is not finite would spoil gradients even where masked

@@ -17,6 +17,8 @@ from ear_jax.errors import plain
 from ear_jax.process.progress import env_steps
 from ear_jax.process.streams import Stderr, results_only
 
+PERIOD = 600.0  # seconds over which the time left is estimated; blocks may take minutes
+
 console = Console(file=Stderr(), highlight=False, markup=False, emoji=False)  # type: ignore[arg-type]
 
 
@@ -66,7 +68,13 @@ class TrainingBar:
 
     def __init__(self, done: int, epochs: int, unit: str = "epoch"):
         columns = (SpinnerColumn(), BlockColumn())
-        self._bar = Progress(*columns, console=console, disable=not is_live(), redirect_stdout=False)
+        self._bar = Progress(
+            *columns,
+            console=console,
+            speed_estimate_period=PERIOD,
+            redirect_stdout=False,
+            disable=not is_live(),
+        )
         self._task = self._bar.add_task(unit, total=epochs, completed=done, mean_return=None, speed="")
         self._epochs, self._unit = epochs, unit
 

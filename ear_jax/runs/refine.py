@@ -48,7 +48,7 @@ class Refinement:
 
 @dataclass(frozen=True)
 class Course:
-    """What a refinement has been through."""
+    """The course of a refinement so far."""
 
     before: list[list[float]]  # returns of the policies that it began with, [seeds, tasks]
     iteration: int = 0
@@ -73,14 +73,17 @@ def refine(
       The refined policies, whose `about` tells of it, and the document that `ear refine --json` prints.
 
     Raises:
-      UsageError: `part` belongs to another refinement.
+      UsageError: the agent finds its codes from experience, or `part` belongs to another refinement.
       RunError: the episodes do not fit in memory, or `part` is damaged or cannot be written.
       Stopped: a signal stopped it after it saved.
     """
     program, count = trained.program, trained.program.config.seeds
-    family, at_once = program.family, count * len(program.tasks) * max(episodes, settings.ppo.episodes)
-    check_rollouts(program, at_once, family.episode_length, 2 * family.observation_size)
+    if program.agent.finds_codes:
+        raise UsageError(f"agent {program.config.agent!r} finds its codes from experience; ear refine needs fixed ones")
+    family = program.family
     learner = PpoLearner(program.agent, family, program.tasks.params, settings.ppo)
+    at_once = count * len(program.tasks) * max(episodes, learner.episodes)
+    check_rollouts(program, at_once, family.episode_length, 2 * family.observation_size)
     key_learn, key_value, key_play = jax.random.split(jax.random.key(seed), 3)
     state = jax.vmap(learner.init)(trained.policies, jax.random.split(key_value, count))
     play = partial(_play, trained, jax.random.split(key_play, count), episodes)
@@ -92,7 +95,7 @@ def refine(
     keep = partial(_write, part, about) if part is not None else None
     state, course = _improve(learner, settings, state, course, jax.random.split(key_learn, count), keep)
     after = play(state.policy)
-    cost = _cost(trained, settings)
+    cost = _cost(learner, settings)
     refined = replace(trained, policies=state.policy, about=_about(trained, cost, np.array(course.before), after))
     document = {
         "run": trained.name,
@@ -138,8 +141,8 @@ def _improve(
 
 def _per_iteration(learner: PpoLearner) -> tuple[int, int]:
     """Returns the env steps and the updates of an iteration of one seed."""
-    settings, tasks = learner.settings, len(jax.tree.leaves(learner.tasks)[0])
-    steps = tasks * settings.episodes * learner.family.episode_length
+    tasks, settings = len(jax.tree.leaves(learner.tasks)[0]), learner.settings
+    steps = tasks * learner.episodes * learner.family.episode_length
     return steps, settings.passes * batches(steps, settings.batch)[0]
 
 
@@ -174,10 +177,9 @@ def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, 
     return rebuild(like, arrays), Course(**{**course, "returns": tuple(course["returns"])})
 
 
-def _cost(trained: Trained, settings: Refinement) -> dict[str, int]:
+def _cost(learner: PpoLearner, settings: Refinement) -> dict[str, int]:
     """Returns the iterations, and the env steps and updates of a seed."""
-    program = trained.program
-    steps, updates = _per_iteration(PpoLearner(program.agent, program.family, program.tasks.params, settings.ppo))
+    steps, updates = _per_iteration(learner)
     number = settings.iterations
     return {"iterations": number, "env_steps": number * steps, "updates": number * updates}
 

@@ -9,7 +9,7 @@ import pytest
 from ear_jax.cli.main import main
 from ear_jax.runs.trained import describe, load, pick
 
-QUICK = ("--iterations", "1", "--train-episodes", "1", "--passes", "1", "--episodes", "1")
+QUICK = ("--iterations", "1", "--iteration-episodes", "1", "--episodes", "1")
 
 
 def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished, tmp_path, capsys):
@@ -35,7 +35,8 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
         (["refined.onnx"], "refined.onnx must end in .safetensors"),
         (["refined.safetensors", "--divergence", "0"], "--divergence 0 is too small; it must be above 0"),
         (["refined.safetensors", "--noise", "-1"], "--noise -1 is too small; it must be at least 0"),
-        (["refined.safetensors", "--discount", "1.1"], "--discount 1.1 is out of range"),
+        (["refined.safetensors", "--least-noise", "0"], "--least-noise 0 is too small; it must be above 0"),
+        (["refined.safetensors", "--iteration-episodes", "0"], "--iteration-episodes 0 is too small"),
         (["refined.safetensors", "--noise", "nan"], "--noise"),
         (["nowhere/on/earth.safetensors", "--iterations", "0"], "--iterations 0 is too small"),
     ],

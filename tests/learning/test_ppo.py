@@ -59,7 +59,7 @@ def test_a_value_is_the_mean_reward_to_come_times_the_discounts_left(discount, l
 
 
 def test_without_a_divergence_only_the_value_learns_and_codes_never_do(toy):
-    learner, policy = learner_of(toy, episodes=2, batch=40), policy_of(toy, 0)
+    learner, policy = learner_of(toy, episodes=4, batch=40), policy_of(toy, 0)
     state = learner.init(policy, jax.random.key(0))
     improve = jax.jit(learner.improve)
     warm, metrics = improve(state, jnp.float32(0), jax.random.key(1))

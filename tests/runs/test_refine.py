@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from ear_jax.runs.refine import Refinement, refine
 from ear_jax.runs.trained import policy_of
 from tests.helpers.teachable import on_clock
 
-SMALL = Refinement(12, Ppo(episodes=2, batch=40))
+SMALL = Refinement(12, Ppo(episodes=4, batch=40))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +51,7 @@ def stops(monkeypatch):
 
 def test_a_policy_learns_what_returns_more_and_keeps_its_ltes(toy):
     """Under its own code the first task's action is right for 4 steps of 20 and off by 1 for 16."""
-    refined, document = refine(toy, Refinement(60, Ppo(divergence=0.3, lr=1e-3, least_noise=0.3)), episodes=1)
+    refined, document = refine(toy, Refinement(60, Ppo(16, divergence=0.3, lr=1e-3, least_noise=0.3)), episodes=1)
     for index, seed in enumerate(document["seeds"]):
         assert seed["before"] == pytest.approx(-16, abs=1e-3)
         assert seed["after"] > -8
@@ -86,8 +88,14 @@ def test_what_was_kept_of_another_refinement_or_is_damaged_is_refused(toy, tmp_p
 
 
 def test_costs_of_refinements_add_up(toy):
-    quick = Refinement(1, Ppo(episodes=1))
+    quick = Refinement(1, Ppo(episodes=2))
     one, document = refine(toy, quick, 1)
     again = refine(one, quick, 1)[0].about["refined"]
     assert again["env_steps"] == 2 * document["env_steps"]
     assert (again["iterations"], again["from"]) == (2, one.fingerprint)
+
+
+def test_an_agent_that_finds_its_codes_is_refused(toy):
+    program = replace(toy.program, agent=replace(toy.program.agent, tuned=True))
+    with pytest.raises(UsageError, match="finds its codes from experience"):
+        refine(replace(toy, program=program), SMALL)
