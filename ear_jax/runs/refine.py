@@ -166,10 +166,12 @@ def _write(part: Path, about: dict[str, Any], state: PpoState, course: Course) -
 
 def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, Course]:
     """Reads what `_write` has saved; raises UsageError if it belongs to another refinement, RunError if damaged."""
-    arrays, metadata = safetensors.read(part)
-    sha256 = metadata.pop("sha256", None)
-    if sha256 != safetensors.digest(arrays, metadata):
-        raise RunError(f"{part} is damaged; delete it to begin anew")
+    try:
+        arrays, metadata = safetensors.read(part)
+        if metadata.pop("sha256", None) != safetensors.digest(arrays, metadata):
+            raise RunError(f"{part} is damaged")
+    except RunError as error:
+        raise RunError(f"{error}; delete it to begin anew") from None
     found = json.loads(metadata["refinement"])
     if found != json.loads(json.dumps(about)) or first_difference(layout(named_leaves(like)), layout(arrays)):
         raise UsageError(f"{part} belongs to a refinement with another policy or settings; delete it to begin anew")

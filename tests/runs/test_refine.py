@@ -80,11 +80,11 @@ def test_what_was_kept_of_another_refinement_or_is_damaged_is_refused(toy, tmp_p
         refine(toy, SMALL, 1, part=part)
     with pytest.raises(UsageError, match="another policy or settings; delete it"):
         refine(toy, SMALL, 1, seed=1, part=part)
-    content = bytearray(part.read_bytes())
-    content[-1] ^= 1
-    part.write_bytes(content)
-    with pytest.raises(RunError, match="damaged; delete it"):
-        refine(toy, SMALL, 1, part=part)
+    content = part.read_bytes()
+    for damaged in (content[:-1] + bytes([content[-1] ^ 1]), content[:100]):
+        part.write_bytes(damaged)
+        with pytest.raises(RunError, match="delete it to begin anew"):
+            refine(toy, SMALL, 1, part=part)
 
 
 def test_costs_of_refinements_add_up(toy):
