@@ -9,7 +9,7 @@ import numpy as np
 
 from ear_jax import pretrained
 from ear_jax.embeddings.map import PLACES
-from experiments.paper import ADAPTATION, CHEETAH, EXPERIMENTS, FAMILIES, GATHERED, REACH, RUN_JUMP, WIDE
+from experiments.paper import ADAPTATION, CHEETAH, EXPERIMENTS, FAMILIES, GATHERED, REACH, REFINEMENT, RUN_JUMP, WIDE
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
 from experiments.report.comparison import comparison, is_level
@@ -21,6 +21,7 @@ from experiments.report.measures import (
     paper_counts,
     paper_return,
     refined_returns,
+    refinements,
     returns,
     successes,
     unit,
@@ -64,8 +65,17 @@ def headline(index: RunIndex) -> str:
         f"within {number(error, 2)} {unit(CHEETAH)} on average over 10 fresh episodes. By the paper's count, one "
         f"episode a blend: {met} (the paper: {printed(theirs)}). On the trained speeds the policy returns "
         f"{returns(runs)}, {level} the paper's {printed(paper)}, after {percent(steps, 0)} of the paper's env "
-        f"steps{_time(runs)}."
+        f"steps{_time(runs)}.{_refined(runs)}"
     )
+
+
+def _refined(runs: Sequence[Run]) -> str:
+    """Returns a sentence on `ear refine`, or nothing if no run was refined."""
+    played = [run.document(REFINEMENT.name)["env_steps"] for run in runs if refinements([run])]
+    if not played:
+        return ""
+    share = percent(float(np.mean(played)) / paper_budget(CHEETAH)[0], 0)
+    return f" `ear refine`, which plays another {share}, takes it further: {refined_returns(runs)}."
 
 
 def results(index: RunIndex) -> str:
