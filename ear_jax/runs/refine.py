@@ -74,7 +74,8 @@ def refine(
 
     Raises:
       UsageError: the agent finds its codes from experience, or `part` belongs to another refinement.
-      RunError: the episodes do not fit in memory, or `part` is damaged or cannot be written.
+      RunError: the episodes do not fit in memory, the policy became infinite, or `part` is damaged or cannot be
+        written.
       Stopped: a signal stopped it after it saved.
     """
     program, count = trained.program, trained.program.config.seeds
@@ -123,6 +124,8 @@ def _improve(
             began, number = time.perf_counter(), course.iteration
             of_iteration = jax.vmap(jax.random.fold_in, (0, None))(keys, number)
             state, metrics = improve(state, jnp.float32(settings.divergence(number)), of_iteration)
+            if not np.isfinite(np.asarray(metrics["divergence"])).all():
+                raise RunError(f"the policy is not finite after iteration {number + 1}; try a smaller --divergence")
             returns = np.asarray(metrics["returns"]).mean(axis=-1).tolist()
             seconds = time.perf_counter() - began
             course = Course(course.before, number + 1, course.seconds + seconds, (*course.returns, returns))

@@ -51,7 +51,7 @@ def test_a_card_agrees_with_its_file_which_loads(name):
     program, config = trained.program, trained.program.config
     assert (card["family"], card["agent"], card["preset"]) == (config.family, config.agent, config.preset)
     assert card["command"].startswith(f"ear train {config.family}")
-    assert card["env_steps"] == program.env_steps(trained.collected)
+    assert card["env_steps"] == trained.env_steps
     assert card["updates"] == trained.epoch * config.sac.updates == card["learning_curve"][-1]["updates"]
     assert [task["name"] for task in card["tasks"]] == program.tasks.names
     assert card["mean_return"] == pytest.approx(np.mean([task["return"] for task in card["tasks"]]), rel=1e-5)
@@ -63,10 +63,11 @@ def test_a_card_agrees_with_its_file_which_loads(name):
 def test_it_is_the_best_seed_that_is_recorded(name):
     card, recorded = pretrained.card(name), {}
     for preset in ("fast", "fast+wide", "fast+gathered"):
-        for path in RECORDS.glob(f"{card['family']}-{card['agent']}-{preset}-*/evaluation.json"):
+        for path in RECORDS.glob(f"{card['family']}-{card['agent']}-{preset}-*/*evaluation.json"):
             seeds = json.loads(path.read_text())["seeds"]
-            recorded |= {(path.parent.name, one["seed"]): one["mean_return"] for one in seeds}
-    assert recorded[card["record"], card["seed"]] == card["mean_return"] == max(recorded.values())
+            recorded |= {(path.parent.name, path.name, one["seed"]): one["mean_return"] for one in seeds}
+    kind = "refined-evaluation.json" if "refined" in card else "evaluation.json"
+    assert recorded[card["record"], kind, card["seed"]] == card["mean_return"] == max(recorded.values())
 
 
 def test_there_are_some_and_they_are_small_and_in_the_wheel():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -99,3 +100,8 @@ def test_an_agent_that_finds_its_codes_is_refused(toy):
     program = replace(toy.program, agent=replace(toy.program.agent, tuned=True))
     with pytest.raises(UsageError, match="finds its codes from experience"):
         refine(replace(toy, program=program), SMALL)
+
+
+def test_a_policy_that_becomes_infinite_ends_it(toy):
+    with pytest.raises(RunError, match="not finite after iteration 11; try a smaller --divergence"):
+        refine(toy, Refinement(12, Ppo(4, batch=40, lr=math.inf)), 1)
