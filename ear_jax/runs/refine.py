@@ -119,6 +119,7 @@ def _improve(
     """Makes the iterations that are left; between them it saves, and stops if a signal asks for it."""
     improve = jax.jit(jax.vmap(learner.improve, (0, None, 0)), compiler_options=compiler_options())
     say(f"mean return before: {np.mean(course.before):.1f}")
+    told = course  # at the last line of progress
     with StopRequest(say) as request, TrainingBar(course.iteration, settings.iterations, "iteration") as bar:
         while course.iteration < settings.iterations:
             began, number = time.perf_counter(), course.iteration
@@ -134,8 +135,10 @@ def _improve(
             if keep and (signal or ended or course.iteration % BLOCK == 0):
                 keep(state, course)
             if ended or course.iteration % BLOCK == 0:
-                rates = (len(keys) * each / seconds for each in _per_iteration(learner))
-                bar.update(course.iteration, float(np.mean(course.returns[-BLOCK:])), *rates)
+                rate = len(keys) * (course.iteration - told.iteration) / (course.seconds - told.seconds)
+                recent = float(np.mean(course.returns[told.iteration :]))
+                bar.update(course.iteration, recent, *(rate * each for each in _per_iteration(learner)))
+                told = course
             if signal is not None:
                 say(f"stopped at iteration {course.iteration}" + "; the same command continues" * bool(keep))
                 raise Stopped(signal)
