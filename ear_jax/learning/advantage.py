@@ -65,6 +65,11 @@ def generalised_advantages(
     return jnp.where(valid, returns_to_go(surprise, valid, discount * gae_lambda), 0.0)
 
 
+def mean_valid(values: jax.Array, valid: jax.Array) -> jax.Array:
+    """Averages values where they are valid; 0 if none is."""
+    return jnp.sum(jnp.where(valid, values, 0.0)) / jnp.maximum(jnp.sum(valid), 1)
+
+
 def standardised(advantage: jax.Array, valid: jax.Array) -> jax.Array:
     """Gives valid advantages mean 0 and spread 1, given 0 where not valid."""
     count = jnp.maximum(jnp.sum(valid), 1)

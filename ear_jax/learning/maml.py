@@ -20,7 +20,7 @@ from ear_jax.envs.batched_env import BatchedEnv, EnvState, Transition
 from ear_jax.envs.family import Family
 from ear_jax.errors import UsageError
 from ear_jax.learning import trust_region
-from ear_jax.learning.advantage import advantages
+from ear_jax.learning.advantage import advantages, mean_valid
 from ear_jax.learning.rollout import act_with, first_episode, rollout
 from ear_jax.tasks import TaskParams
 
@@ -63,7 +63,7 @@ def surrogate(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> ja
         return jnp.exp(_log_density(agent.distribution(policy, code, obs), raw) - _log_density(behaviour, raw))
 
     weighted = jax.vmap(jax.vmap(ratio))(trial.obs, trial.raw, trial.behaviour) * trial.advantage
-    return -_mean(weighted, trial.valid)
+    return -mean_valid(weighted, trial.valid)
 
 
 def divergence(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> jax.Array:
@@ -75,7 +75,7 @@ def divergence(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> j
         shift = (behaviour.mean - new.mean) ** 2 * jnp.exp(-2 * new.log_std)
         return jnp.sum(new.log_std - behaviour.log_std + 0.5 * (variance_ratio + shift - 1))
 
-    return _mean(jax.vmap(jax.vmap(step_divergence))(trial.obs, trial.behaviour), trial.valid)
+    return mean_valid(jax.vmap(jax.vmap(step_divergence))(trial.obs, trial.behaviour), trial.valid)
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,3 @@ def _record(transition: Transition) -> tuple[jax.Array, Any, jax.Array, jax.Arra
 def _log_density(distribution: Gaussian, raw: jax.Array) -> jax.Array:
     """Returns the log-density of `raw` [act] up to a constant; tanh cancels in ratios."""
     return -jnp.sum(0.5 * ((raw - distribution.mean) * jnp.exp(-distribution.log_std)) ** 2 + distribution.log_std)
-
-
-def _mean(values: jax.Array, valid: jax.Array) -> jax.Array:
-    """Averages values where they are valid; 0 if none is."""
-    return jnp.sum(jnp.where(valid, values, 0.0)) / jnp.maximum(jnp.sum(valid), 1)

@@ -20,7 +20,7 @@ from ear_jax.agents.networks import Params
 from ear_jax.agents.tanh_gaussian import Gaussian
 from ear_jax.envs.batched_env import BatchedEnv, Transition
 from ear_jax.envs.family import Family, Outcome
-from ear_jax.learning.advantage import generalised_advantages, standardised
+from ear_jax.learning.advantage import generalised_advantages, mean_valid, standardised
 from ear_jax.learning.rollout import act_with, first_episode, rollout, score
 from ear_jax.learning.value import Value, make_value
 from ear_jax.tasks import TaskParams
@@ -181,11 +181,11 @@ class PpoLearner:
                 {**policy, "networks": networks}, codes[steps.task], steps.obs
             )
             loss, divergence = jax.vmap(self.surrogate)(new, steps.behaviour, steps.raw, lesson.advantage)
-            return _mean(loss, steps.valid), _mean(divergence, steps.valid)
+            return mean_valid(loss, steps.valid), mean_valid(divergence, steps.valid)
 
         def value_loss(value: Params) -> jax.Array:
             wrong = (self.values(state, value, steps) - lesson.target) / state.scale[steps.task]
-            return _mean((wrong / self._value.horizon(jnp.int32(0))) ** 2, steps.valid)
+            return mean_valid((wrong / self._value.horizon(jnp.int32(0))) ** 2, steps.valid)
 
         grad, divergence = jax.grad(policy_loss, has_aux=True)(policy["networks"])
         change, optimiser = _adam().update(grad, state.optimiser)
@@ -244,7 +244,3 @@ def _adam() -> optax.GradientTransformation:
 
 def _value_adam() -> optax.GradientTransformation:
     return optax.adam(VALUE_LR)
-
-
-def _mean(values: jax.Array, valid: jax.Array) -> jax.Array:
-    return jnp.sum(jnp.where(valid, values, 0.0)) / jnp.maximum(jnp.sum(valid), 1)

@@ -87,7 +87,7 @@ def refine(
     check_rollouts(program, at_once, family.episode_length, 2 * family.observation_size)
     key_learn, key_value, key_play = jax.random.split(jax.random.key(seed), 3)
     state = jax.vmap(learner.init)(trained.policies, jax.random.split(key_value, count))
-    play = partial(_play, trained, jax.random.split(key_play, count), episodes)
+    play = _player(trained, jax.random.split(key_play, count), episodes)
     about = {"of": trained.fingerprint, "seed": seed, "episodes": episodes, **asdict(settings)}
     if part is not None and part.exists():
         state, course = _read(part, state, about)
@@ -152,15 +152,20 @@ def _per_iteration(learner: PpoLearner) -> tuple[int, int]:
     return steps, settings.passes * batches(steps, settings.batch)[0]
 
 
-def _play(trained: Trained, keys: jax.Array, episodes: int, policies: Params) -> np.ndarray:
-    """Returns the mean returns [seeds, tasks] of policies."""
+def _player(trained: Trained, keys: jax.Array, episodes: int) -> Callable[[Params], np.ndarray]:
+    """Returns a function that gives the mean returns [seeds, tasks] of policies, always from the same starts."""
     program = trained.program
 
     def of_seed(policy: Params, key: jax.Array) -> jax.Array:
         return training.evaluate(program, policy, key, episodes).returns.mean(axis=-1)
 
-    with phase(f"playing {episodes} episodes of {len(program.tasks)} tasks"):
-        return np.asarray(jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())(policies, keys))
+    of_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
+
+    def play(policies: Params) -> np.ndarray:
+        with phase(f"playing {episodes} episodes of {len(program.tasks)} tasks"):
+            return np.asarray(of_all(policies, keys))
+
+    return play
 
 
 def _write(part: Path, about: dict[str, Any], state: PpoState, course: Course) -> None:

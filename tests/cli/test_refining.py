@@ -7,6 +7,8 @@ import json
 import pytest
 
 from ear_jax.cli.main import main
+from ear_jax.envs.ant_dir import AntDir
+from ear_jax.learning.ppo import Ppo
 from ear_jax.runs.trained import describe, load, pick
 
 QUICK = ("--iterations", "1", "--iteration-episodes", "1", "--episodes", "1")
@@ -27,6 +29,13 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
     assert len(document["figures"]) == len(document["seeds"])
     assert main(["refine", str(finished), str(file), *QUICK]) == 2
     assert f"{file} already exists; name another file" in capsys.readouterr().err
+
+
+def test_help_tells_the_noise_that_the_settings_have(capsys):
+    assert main(["refine", "--help"]) == 0
+    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for name in ("noise", "least_noise"):
+        assert f"(default: {getattr(Ppo, name):g}; ant-dir: {AntDir.refining[name]:g})" in said
 
 
 @pytest.mark.parametrize(
