@@ -54,6 +54,8 @@ class NetworkConfig:
     """Project the LSE onto the unit sphere."""
     normalise_lte: bool = True
     """Project the LTE onto the unit sphere."""
+    equivariant: bool = False
+    """Bring symmetric tasks to one before the networks see them, and turn their actions back (Ant-Dir)."""
     critic_layer_norm: bool = False
     """Apply LayerNorm in the critics' hidden layers."""
     standardise_obs: bool = False

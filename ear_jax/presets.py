@@ -56,6 +56,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "task-hidden": {"network": {"task_layers": 1}},
     "wide": {"network": {"width": 512, "matmul": "bfloat16"}},
     "gathered": {"network": {"lte_start": "gathered"}},
+    "equivariant": {"network": {"equivariant": True, "lte_start": "gathered"}},
     # An update takes three times as long on a CPU, so a run has half as many.
     "categorical": {
         "epochs": 190,

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from ear_jax.envs.angle import AngleFamily
 from ear_jax.envs.family import Outcome
-from ear_jax.envs.symmetry import Symmetry, pair, turns_and_flips
+from ear_jax.envs.symmetry import Symmetry, turns_and_flips
 from ear_jax.physics import Motion, Physics
 from ear_jax.tasks import Task, TaskParams
 
@@ -60,7 +60,7 @@ class AntDir(AngleFamily):
     def symmetry(self) -> Symmetry:
         """The eight symmetries of a square: quarter turns and their mirror images."""
         observation, motors, plane = (turns_and_flips(parts, 4) for parts in (_OBSERVATION, (_MOTORS,), (_PLANE,)))
-        return Symmetry(8, observation, motors, pair(plane, ("velocity_x", "velocity_y")), pair(plane, ("x", "y")))
+        return Symmetry(8, observation, motors, plane, velocity=("velocity_x", "velocity_y"), direction=("x", "y"))
 
     def initial(self, key: jax.Array) -> Physics:
         return self.noisy_start(key, 0.1, lambda key, shape: 0.1 * jax.random.normal(key, shape))

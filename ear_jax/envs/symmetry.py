@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -22,6 +22,22 @@ class Signed:
         each = vector.reshape(-1, self.order.shape[1])
         return (each[:, jnp.asarray(self.order)[variant]] * jnp.asarray(self.sign)[variant]).ravel()
 
+    def select(self, one_hot: jax.Array, vector: jax.Array) -> jax.Array:
+        """Applies the variant that a one-hot [variants] selects, by sums and products only."""
+        each = vector.reshape(-1, self.order.shape[1])
+        return jnp.sum(one_hot[:, None] * each[:, self.order] * self.sign, axis=1).ravel()
+
+    @property
+    def inverse(self) -> Signed:
+        """The inverse of each variant."""
+        order = np.argsort(self.order, axis=1)
+        return Signed(order, np.take_along_axis(self.sign, order, axis=1))
+
+    @property
+    def unsigned(self) -> Signed:
+        """The permutations without their signs, for scales such as σ."""
+        return Signed(self.order, np.abs(self.sign))
+
 
 @dataclass(frozen=True)
 class Symmetry:
@@ -30,8 +46,17 @@ class Symmetry:
     variants: int
     obs: Signed
     action: Signed
-    outcome: Callable[[jax.Array, dict[str, jax.Array]], dict[str, jax.Array]]  # variant, outcome
-    task: Callable[[jax.Array, dict[str, jax.Array]], dict[str, jax.Array]]  # variant, a task's params
+    plane: Signed  # vectors of the ground plane, [2]
+    velocity: tuple[str, str]  # the plane vector in an outcome
+    direction: tuple[str, str]  # and in a task's params
+
+    def outcome(self, variant: jax.Array, outcome: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        """Applies a variant to an outcome."""
+        return _turned(self.plane, variant, outcome, self.velocity)
+
+    def task(self, variant: jax.Array, params: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        """Applies a variant to a task's params."""
+        return _turned(self.plane, variant, params, self.direction)
 
 
 SignedOrder = tuple[int, ...]  # a signed permutation: numbers from 1, negative where the sign changes
@@ -57,14 +82,11 @@ def turns_and_flips(parts: Sequence[tuple[SignedOrder, SignedOrder]], turns: int
     return Signed(np.abs(table) - 1, np.sign(table).astype(np.float32))
 
 
-def pair(signed: Signed, names: tuple[str, str]) -> Callable[[jax.Array, dict[str, jax.Array]], dict[str, jax.Array]]:
-    """Returns a map that permutes two named numbers as a vector and leaves the others unchanged."""
-
-    def permute(variant: jax.Array, numbers: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        vector = signed(variant, jnp.stack([numbers[name] for name in names]))
-        return {**numbers, names[0]: vector[0], names[1]: vector[1]}
-
-    return permute
+def _turned(
+    plane: Signed, variant: jax.Array, numbers: dict[str, jax.Array], names: tuple[str, str]
+) -> dict[str, jax.Array]:
+    vector = plane(variant, jnp.stack([numbers[name] for name in names]))
+    return {**numbers, names[0]: vector[0], names[1]: vector[1]}
 
 
 def own_by_symmetry(

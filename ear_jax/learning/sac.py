@@ -11,6 +11,7 @@ import optax
 
 from ear_jax.agents import Agent
 from ear_jax.agents.critic import Critic, aggregate_q
+from ear_jax.agents.equivariant import symmetrised
 from ear_jax.agents.networks import Params
 from ear_jax.config import Config, is_on
 from ear_jax.envs import Family
@@ -139,7 +140,9 @@ class SacLearner:
         """Sets the parts of the policy computed from replay: the standardiser, if `standardise_obs` is set."""
         if not self.config.network.standardise_obs:
             return policy
-        return {**policy, "standardiser": replay.standardiser(buffer)}
+        found = replay.standardiser(buffer)
+        symmetry = self.family.symmetry if self.config.network.equivariant else None
+        return {**policy, "standardiser": symmetrised(found, symmetry) if symmetry else found}
 
     def draw(self, key: jax.Array, updates: int) -> Draws:
         """Draws the randomness of `updates` updates, each leaf [updates, …]."""

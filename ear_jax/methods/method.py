@@ -16,7 +16,7 @@ from ear_jax.learning.sac import SacLearner
 OF_MAML = ("maml.*",)
 OF_EMBEDDINGS = (
     *("sac.lte_noise", "sac.outcome_weight", "network.normalise_*"),
-    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task")),
+    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task", "equivariant")),
 )
 OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
 

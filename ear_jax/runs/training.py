@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from ear_jax.agents import Agent
+from ear_jax.agents.equivariant import equivariant
 from ear_jax.agents.networks import Params
 from ear_jax.config import Config
 from ear_jax.envs import Family, find_task, make_family
@@ -82,9 +83,10 @@ def make_program(config: Config) -> Program:
     method.learner.check(config, len(tasks))
     if config.replay.symmetry and family.symmetry is None:
         raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
+    if config.network.equivariant and family.symmetry is None:
+        raise UsageError(f"--network.equivariant True would change nothing: {family.name} has no symmetry")
     float32 = replace(config, network=replace(config.network, matmul="float32"))
-    agent = make_agent(_sizes(family, len(tasks)), float32)
-    return Program(config, family, tasks, agent, _learner(config, family, tasks))
+    return Program(config, family, tasks, _agent(float32, family, tasks), _learner(config, family, tasks))
 
 
 def with_numbers(program: Program, numbers: Numbers) -> Program:
@@ -99,12 +101,14 @@ def with_numbers(program: Program, numbers: Numbers) -> Program:
 
 
 def _learner(config: Config, family: Family, tasks: TaskSet) -> Learner:
-    agent = make_agent(_sizes(family, len(tasks)), config)
-    return find_method(config.agent).learner(agent, family, tasks.params, config)
+    return find_method(config.agent).learner(_agent(config, family, tasks), family, tasks.params, config)
 
 
-def _sizes(family: Family, tasks: int) -> Sizes:
-    return Sizes(family.observation_size, family.action_size, tasks, len(family.outcome_shapes))
+def _agent(config: Config, family: Family, tasks: TaskSet) -> Agent:
+    sizes = Sizes(family.observation_size, family.action_size, len(tasks), len(family.outcome_shapes))
+    agent = make_agent(sizes, config)
+    symmetry = family.symmetry if config.network.equivariant else None
+    return equivariant(agent, symmetry, tasks.params) if symmetry else agent
 
 
 def seed_keys(config: Config) -> jax.Array:

@@ -1,0 +1,103 @@
+"""Equivariance: what an agent does turns with the robot, where the robot has symmetries.
+
+A situation is turned and mirrored into the canonical sector of the plane, where the networks see it; what they say is
+turned back. So one network learns once what symmetric tasks share (van der Pol et al. 2020, arXiv 2006.16908; by
+canonicalisation: Kaba et al. 2023, arXiv 2211.06489). An LTE's first two numbers are a vector of the plane.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ear_jax.agents.agent import Agent
+from ear_jax.agents.critic import seen_as
+from ear_jax.agents.networks import Params, Standardiser
+from ear_jax.agents.tanh_gaussian import Gaussian
+from ear_jax.envs.symmetry import Symmetry
+from ear_jax.tasks import TaskParams
+
+TIE = 1e-5  # by which an earlier variant wins where two are as close
+
+
+def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
+    """Wraps an agent so that symmetric tasks have symmetric LTEs, and act alike; critics value them alike.
+
+    Args:
+      agent: whose codes are LTEs, of two numbers or more.
+      symmetry: the family's.
+      tasks: params, each leaf [tasks].
+    """
+    directions = jnp.stack([jnp.float32(tasks[name]) for name in symmetry.direction], axis=1)
+    nearest_variants = jax.vmap(lambda direction: nearest(symmetry, direction))(directions)
+    canonical = np.asarray(jax.vmap(symmetry.plane.select)(nearest_variants, directions))
+    to_sector = np.asarray(nearest_variants)  # [tasks, variants], one-hots
+    first, turns = _representatives(canonical), _turns(symmetry, to_sector, canonical)
+    inverse = symmetry.action.inverse
+
+    def codes(policy: Params) -> jax.Array:
+        table = jax.vmap(lambda code: turned(symmetry, nearest(symmetry, code), code))(agent.codes(policy)[first])
+        plane = jnp.einsum("tij,tj->ti", turns, table[:, :2])
+        return jax.vmap(agent.project)(jnp.concatenate([plane, table[:, 2:]], axis=1))
+
+    def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
+        variant = nearest(symmetry, code)
+        seen = agent.distribution(policy, turned(symmetry, variant, code), symmetry.obs.select(variant, obs))
+        return Gaussian(inverse.select(variant, seen.mean), inverse.unsigned.select(variant, seen.log_std))
+
+    def canonical_input(obs: jax.Array, action: jax.Array, task: jax.Array) -> tuple[jax.Array, ...]:
+        count = 0 if agent.critic_task == "lte" else len(first)
+        one_hot, code = task[:count], task[count:]
+        variant = one_hot @ to_sector if count else nearest(symmetry, code)
+        one_hot = one_hot @ np.eye(count, dtype=np.float32)[first] if count else one_hot
+        code = turned(symmetry, variant, code) if len(code) else code
+        task = jnp.concatenate([one_hot, code])
+        return symmetry.obs.select(variant, obs), symmetry.action.select(variant, action), task
+
+    critic = agent.critic and seen_as(agent.critic, canonical_input)
+    return replace(agent, codes=codes, distribution=distribution, critic=critic)
+
+
+def nearest(symmetry: Symmetry, vector: jax.Array) -> jax.Array:
+    """Returns the one-hot [variants] of the variant that brings a vector's first two numbers into the sector."""
+    middle = math.pi / symmetry.variants
+    each = vector[:2][symmetry.plane.order] * symmetry.plane.sign @ np.array([math.cos(middle), math.sin(middle)])
+    closeness = jax.lax.stop_gradient(each) - TIE * np.arange(symmetry.variants)
+    return (closeness == jnp.max(closeness)).astype(jnp.float32)
+
+
+def turned(symmetry: Symmetry, variant: jax.Array, code: jax.Array) -> jax.Array:
+    """Applies the variant that a one-hot selects to an LTE's first two numbers."""
+    return jnp.concatenate([symmetry.plane.select(variant, code[:2]), code[2:]])
+
+
+def symmetrised(standardiser: Standardiser, symmetry: Symmetry) -> Standardiser:
+    """Returns the statistics of observations together with all their variants."""
+    variants = jnp.arange(symmetry.variants)
+    means = jax.vmap(symmetry.obs, (0, None))(variants, standardiser.mean)
+    variances = jax.vmap(symmetry.obs.unsigned, (0, None))(variants, standardiser.scale**-2)
+    mean = jnp.mean(means, axis=0)
+    return Standardiser(mean, jax.lax.rsqrt(jnp.mean(variances + (means - mean) ** 2, axis=0)))
+
+
+def _representatives(canonical: np.ndarray) -> np.ndarray:
+    """Returns the first task with each task's canonical direction, int [tasks]."""
+    same = np.linalg.norm(canonical[:, None] - canonical[None], axis=-1) < 1e-4
+    return np.argmax(same, axis=1)
+
+
+def _turns(symmetry: Symmetry, to_sector: np.ndarray, canonical: np.ndarray) -> np.ndarray:
+    """Returns the maps [tasks, 2, 2] of LTEs' plane vectors from the sector to where tasks have theirs.
+
+    A direction on the sector's edge is its own mirror image, so its LTE must be, too: it is brought to the edge first.
+    """
+    each = np.eye(2, dtype=np.float32)[symmetry.plane.order] * symmetry.plane.sign[..., None]  # [variants, 2, 2]
+    moved = np.einsum("vij,tj->tvi", each, canonical)
+    fixes = (np.linalg.norm(moved - canonical[:, None], axis=-1) < 1e-4).astype(np.float32)
+    to_edge = np.einsum("tv,vij->tij", fixes / fixes.sum(axis=1, keepdims=True), each)
+    back = np.einsum("tv,vij->tji", to_sector, each)  # orthogonal: the transposed is the inverse
+    return back @ to_edge
