@@ -36,6 +36,8 @@ class Agent:
     critic_task: str = "onehot"  # the critics' input about the task: onehot, lte or both
     own_temperatures: bool = False  # one temperature per task instead of a shared one
     infer: Callable[[Params, Context], Posterior] | None = None  # policy parameters, steps of a task
+    # Observation, task → those that the networks see instead, if the agent turns symmetric tasks to one.
+    canonical: Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]] = lambda obs, task: (obs, task)
     tuned: bool = False  # codes are offsets to the policy's parameters, found by gradient steps on episodes
 
     @property

@@ -58,8 +58,11 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
         task = jnp.concatenate([one_hot, code])
         return symmetry.obs.select(variant, obs), symmetry.action.select(variant, action), task
 
+    def canonical_task(obs: jax.Array, task: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return symmetry.obs.select(jnp.asarray(to_sector)[task], obs), jnp.asarray(first)[task]
+
     critic = agent.critic and seen_as(agent.critic, canonical_input)
-    return replace(agent, codes=codes, distribution=distribution, critic=critic)
+    return replace(agent, codes=codes, distribution=distribution, critic=critic, canonical=canonical_task)
 
 
 def nearest(symmetry: Symmetry, vector: jax.Array) -> jax.Array:

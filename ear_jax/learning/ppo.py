@@ -168,7 +168,8 @@ class PpoLearner:
         obs = steps.obs.reshape(-1, steps.obs.shape[-1])
 
         def of_step(obs: jax.Array, task: jax.Array, time: jax.Array) -> jax.Array:
-            return state.scale[task] * self._value(value, state.policy["standardiser"](obs), task, time)
+            seen, seen_task = self.agent.canonical(obs, task)
+            return state.scale[task] * self._value(value, state.policy["standardiser"](seen), seen_task, time)
 
         return jax.vmap(of_step)(obs, steps.task.reshape(-1), steps.time.reshape(-1)).reshape(shape)
 

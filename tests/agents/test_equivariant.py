@@ -76,13 +76,22 @@ def test_ltes_of_symmetric_tasks_are_symmetric(program, policy):
     """A quarter turn adds 90° to a direction and turns its LTE; 0° and 45° have theirs on a mirror's axis."""
     codes = np.asarray(jax.jit(program.agent.codes)(policy))
     np.testing.assert_allclose(np.linalg.norm(codes, axis=1), 1, atol=1e-5)
-    np.testing.assert_allclose(
-        codes[(np.arange(24) + 6) % 24], codes * [1, 1, 1] @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-5
-    )
+    np.testing.assert_allclose(codes[(np.arange(24) + 6) % 24], codes @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-5)
     np.testing.assert_allclose(codes[-np.arange(24) % 24], codes * [1, -1, 1], atol=1e-5)
     angles = np.degrees(np.arctan2(codes[:4, 1], codes[:4, 0]))
     np.testing.assert_allclose(angles[[0, 3]], [0, 45], atol=1e-2)
-    assert (angles[1:3] >= 0).all() and (angles[1:3] <= 45).all()
+    assert (angles[1:3] >= 0).all()
+    assert (angles[1:3] <= 45).all()
+
+
+def test_a_value_sees_one_task_in_place_of_all_that_are_symmetric_to_it(program):
+    symmetry, canonical = program.family.symmetry, jax.jit(program.agent.canonical)
+    obs = jax.random.normal(jax.random.key(0), (27,))
+    plain, first = canonical(obs, 1)
+    for variant, task in ((1, 7), (2, 13), (4, 23)):
+        seen, which = canonical(symmetry.obs(variant, obs), task)
+        np.testing.assert_array_equal(seen, plain)
+        assert which == first == 1
 
 
 def test_one_variant_brings_a_vector_into_the_sector(program):
