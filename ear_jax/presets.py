@@ -49,14 +49,18 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 # Variants follow a preset's name after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), the
 # hidden layer of the task encoder in the authors' code, networks that need more than an hour of one core, LTEs that
-# start close together, and the critics of BRC (naumix/BiggerRegularizedCategorical).
+# start close together, the critics of BRC (naumix/BiggerRegularizedCategorical), and networks that turn with the robot.
 VARIANTS: dict[str, dict[str, Any]] = {
     "no-noise": {"sac": {"lte_noise": 0.0}},
     "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
     "task-hidden": {"network": {"task_layers": 1}},
     "wide": {"network": {"width": 512, "matmul": "bfloat16"}},
     "gathered": {"network": {"lte_start": "gathered"}},
-    "equivariant": {"network": {"equivariant": True, "lte_start": "gathered"}},
+    "equivariant": {
+        "epochs": 190,
+        "network": {"equivariant": True, "lte_start": "gathered"},
+        "sac": {"lr_decay": 76_000},
+    },
     # An update takes three times as long on a CPU, so a run has half as many.
     "categorical": {
         "epochs": 190,

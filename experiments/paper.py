@@ -76,8 +76,8 @@ def numbers() -> dict[str, Any]:
 CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper-vel", "walker-vel")
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
-WIDE, GATHERED, CATEGORICAL = "+wide", "+gathered", "+categorical"
-EAR_VARIANTS = ("", CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
+WIDE, GATHERED, CATEGORICAL, EQUIVARIANT = "+wide", "+gathered", "+categorical", "+equivariant"
+EAR_VARIANTS = ("", EQUIVARIANT, CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
 
 EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
@@ -86,6 +86,7 @@ REFINED = "refined.safetensors"
 REFINEMENT = Analysis("refinement", "refine", writes=REFINED)
 REFINED_EVALUATION = replace(EVALUATION, name="refined-evaluation", of=REFINED)
 REFINED_INTERPOLATION = replace(INTERPOLATION, name="refined-interpolation", of=REFINED)
+REFINING = (EVALUATION, INTERPOLATION, REFINEMENT, REFINED_EVALUATION, REFINED_INTERPOLATION)
 MAP = Analysis("map", "map")
 SENSORY = Analysis("lse", "lse")
 STILLS = stills("stills", "1", "2")
@@ -107,6 +108,7 @@ TABLES = (
         "table-1",
         "final returns of all methods",
         methods(FAMILIES, EVALUATION, variants=("", WIDE))
+        + methods((ANT,), EVALUATION, variants=(EQUIVARIANT,))
         + methods(FAMILIES, EVALUATION, agents=("pearl", "multihead", "onehot", "maml", "onehot-blind")),
     ),
     Experiment("table-2", "hyperparameters"),
@@ -174,9 +176,14 @@ OURS = (
         methods(FAMILIES, EVALUATION, INTERPOLATION, ADAPTATION, variants=("", CATEGORICAL)),
     ),
     Experiment(
+        "equivariant",
+        "EAR that turns with the ant",
+        methods((ANT,), EVALUATION, INTERPOLATION, ADAPTATION, variants=("", EQUIVARIANT)),
+    ),
+    Experiment(
         "refined",
         "EAR refined by PPO",
-        methods(FAMILIES, EVALUATION, INTERPOLATION, REFINEMENT, REFINED_EVALUATION, REFINED_INTERPOLATION),
+        methods((CHEETAH, HOPPER, WALKER), *REFINING) + methods((ANT,), *REFINING, variants=(EQUIVARIANT,)),
     ),
     Experiment("space", "how good EAR's spaces of LTEs are"),
     Experiment(

@@ -38,6 +38,7 @@ VARIANTS = {
     "+wide": ", twice as wide",
     "+gathered": ", LTEs gathered at the start",
     "+categorical": ", categorical critics",
+    "+equivariant": ", equivariant",
 }
 
 

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from ear_jax import pretrained
 from ear_jax.embeddings.map import PLACES
-from experiments.paper import ADAPTATION, CHEETAH, EXPERIMENTS, FAMILIES, GATHERED, REACH, REFINEMENT, RUN_JUMP, WIDE
+from experiments.paper import (
+    ADAPTATION,
+    CHEETAH,
+    EQUIVARIANT,
+    EXPERIMENTS,
+    FAMILIES,
+    GATHERED,
+    REACH,
+    REFINEMENT,
+    RUN_JUMP,
+    WIDE,
+)
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
 from experiments.report.comparison import comparison, is_level
@@ -81,13 +93,13 @@ def _refined(runs: Sequence[Run]) -> str:
 def results(index: RunIndex) -> str:
     """Returns README's table: EAR beside the paper, with a row for each family."""
     rows = []
-    for family in SHOWN:
-        runs = index.runs(family)
+    for family, variant in product(SHOWN, ("", EQUIVARIANT)):
+        runs = index.runs(family, variant=variant)
         if runs:
-            returned = spread([mean_return(run) for run in runs])
+            name, returned = NAMES[family] + VARIANTS[variant], spread([mean_return(run) for run in runs])
             blended = [_successes(family, runs, measure).replace(" of ", "/") for measure in BLENDED]
             last = count(len(runs)), _minutes(runs).replace(" to ", "–") or MISSING
-            rows.append([NAMES[family], returned, refined_returns(runs), _paper_return(family), *blended, *last])
+            rows.append([name, returned, refined_returns(runs), _paper_return(family), *blended, *last])
     return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{HOW_TO_READ}"
 
 
@@ -116,7 +128,7 @@ def details(index: RunIndex) -> str:
 def _our_runs(index: RunIndex) -> list[str]:
     """Returns the section on EAR: every family and variant, their budgets, machines, and notes on single runs."""
     runs = {family: index.runs(family) for family in SHOWN}
-    variants = [(family, variant) for family in SHOWN for variant in ("", WIDE, GATHERED)]
+    variants = [(family, variant) for family in SHOWN for variant in ("", EQUIVARIANT, WIDE, GATHERED)]
     rows = [_detailed(*method, shown) for method in variants if (shown := index.runs(method[0], variant=method[1]))]
     parts = [
         "## EAR on every family",

@@ -37,6 +37,7 @@ TABLES: dict[str, Callable[[RunIndex], list[Block]]] = {
     "wide": partial(tables.variants, "wide"),
     "gathered": partial(tables.variants, "gathered"),
     "categorical": partial(tables.variants, "categorical"),
+    "equivariant": partial(tables.variants, "equivariant"),
     "refined": tables.refined,
     "space": spaces.spaces,
     "reach": tables.reach,

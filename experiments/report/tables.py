@@ -10,6 +10,7 @@ from ear_jax.envs.reach import NEAR
 from ear_jax.runs.statistics import interquartile_mean, probability_of_improvement
 from experiments.paper import (
     ANT,
+    EQUIVARIANT,
     EXPERIMENTS,
     FAMILIES,
     INTERPOLATION,
@@ -25,6 +26,7 @@ from experiments.report.formatting import (
     MISSING,
     NAMES,
     NO_RUN,
+    VARIANTS,
     count,
     interval,
     label,
@@ -123,7 +125,7 @@ def refined(index: RunIndex) -> list[Block]:
             seeds(runs),
             *(steps or [MISSING]),
         )
-        rows.append([NAMES[method.family], *cells])
+        rows.append([NAMES[method.family] + VARIANTS[method.variant], *cells])
     columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "env steps of the refinement")
     caption = (
         "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "
@@ -174,7 +176,7 @@ def _family_returns(index: RunIndex, family: str, methods: list[Method]) -> Tabl
 
 
 def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str]:
-    paper = paper_return(method.family, method.agent) if method.variant in ("", WIDE) else None
+    paper = paper_return(method.family, method.agent) if method.variant in ("", WIDE, EQUIVARIANT) else None
     cells = [label(method), printed(paper) if paper else MISSING]
     if not runs:
         return [*cells, NO_RUN, *[MISSING] * 6]
