@@ -27,6 +27,8 @@ TIE = 1e-5  # by which an earlier variant wins where two are as close
 def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
     """Wraps an agent so that symmetric tasks have symmetric LTEs, and act alike; critics value them alike.
 
+    What it embeds and forecasts stays as it is: that depends on no task, so there is nothing to turn by.
+
     Args:
       agent: whose codes are LTEs, of two numbers or more.
       symmetry: the family's.

@@ -114,7 +114,11 @@ def test_statistics_are_those_of_all_variants():
     np.testing.assert_allclose(found.scale, 1 / every.std(0), rtol=1e-3)
 
 
-def test_families_without_symmetries_cannot_be_turned():
-    config = preset_config("halfcheetah-vel", "fast")
-    with pytest.raises(UsageError, match="halfcheetah-vel has no symmetry"):
-        make_program(replace(config, network=replace(config.network, equivariant=True)))
+@pytest.mark.parametrize(
+    ("family", "lte_size", "complaint"),
+    [("halfcheetah-vel", 3, "halfcheetah-vel has no symmetry"), ("ant-dir", 1, "--network.lte-size is 1")],
+)
+def test_what_cannot_be_turned_is_refused(family, lte_size, complaint):
+    config = preset_config(family, "fast")
+    with pytest.raises(UsageError, match=complaint):
+        make_program(replace(config, network=replace(config.network, equivariant=True, lte_size=lte_size)))

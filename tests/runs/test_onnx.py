@@ -17,11 +17,12 @@ from ear_jax import pretrained
 from ear_jax.cli.main import main
 from ear_jax.errors import RunError
 from ear_jax.methods import METHODS, Sizes, make_agent
-from ear_jax.presets import draft_config
+from ear_jax.presets import draft_config, preset_config
 from ear_jax.rendering.live.programs import Constants, translate
 from ear_jax.runs.model_card import to_markdown
 from ear_jax.runs.onnx import run_onnx, to_onnx
 from ear_jax.runs.trained import load, policy_of
+from ear_jax.runs.training import make_program
 
 ITEMS = 5
 
@@ -37,15 +38,26 @@ def test_onnxruntime_acts_as_jax_does(method):
     policy = agent.init_policy(jax.random.key(0))
     policy["standardiser"] = dataclasses.replace(policy["standardiser"], mean=jnp.arange(4.0 * history) / 9)
 
+    acts_as_jax_does(agent, policy, 4 * history)
+
+
+def test_onnxruntime_turns_with_the_robot_as_jax_does():
+    pytest.importorskip("onnxruntime", reason="needs the extra onnx")
+    config = preset_config("ant-dir", "fast+equivariant")
+    agent = make_program(dataclasses.replace(config, network=dataclasses.replace(config.network, width=16))).agent
+    acts_as_jax_does(agent, agent.init_policy(jax.random.key(0)), 27)
+
+
+def acts_as_jax_does(agent, policy, obs_size):
     def act(lte, obs):
         distribution = agent.distribution(policy, lte, obs)
         return jnp.tanh(distribution.mean), distribution.mean, distribution.log_std
 
     constants, random = Constants(), np.random.default_rng(0)
-    program = translate(act, constants, jnp.zeros(agent.code_size), jnp.zeros(4 * history))
+    program = translate(act, constants, jnp.zeros(agent.code_size), jnp.zeros(obs_size))
     model = to_onnx(program, np.concatenate(constants.arrays), {})
     lte = random.normal(size=(ITEMS, agent.code_size)).astype(np.float32)
-    obs = 2 * random.normal(size=(ITEMS, 4 * history)).astype(np.float32)
+    obs = 2 * random.normal(size=(ITEMS, obs_size)).astype(np.float32)
     expected = jax.vmap(act)(jnp.asarray(lte), jnp.asarray(obs))
     for one, other in zip(run_onnx(model, lte, obs), expected, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=2e-5)
