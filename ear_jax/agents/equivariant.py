@@ -24,7 +24,7 @@ from ear_jax.tasks import TaskParams
 TIE = 1e-5  # by which an earlier variant wins where two are as close
 
 
-def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
+def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_directions: bool = False) -> Agent:
     """Wraps an agent so that symmetric tasks have symmetric LTEs, and act alike; critics value them alike.
 
     What it embeds and forecasts stays as it is: that depends on no task, so there is nothing to turn by.
@@ -33,6 +33,7 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
       agent: whose codes are LTEs, of two numbers or more.
       symmetry: the family's.
       tasks: params, each leaf [tasks].
+      from_directions: LTEs start with the tasks' directions as their first two numbers; needs a linear task encoder.
     """
     directions = jnp.stack([jnp.float32(tasks[name]) for name in symmetry.direction], axis=1)
     nearest_variants = jax.vmap(lambda direction: nearest(symmetry, direction))(directions)
@@ -40,6 +41,13 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
     to_sector = np.asarray(nearest_variants)  # [tasks, variants], one-hots
     first, turns = _representatives(canonical), _turns(symmetry, to_sector, canonical)
     inverse = symmetry.action.inverse
+
+    def init_policy(key: jax.Array) -> Params:
+        policy = agent.init_policy(key)
+        if from_directions:
+            rows = policy["networks"]["task_encoder"]["params"]["Dense_0"]
+            rows["kernel"] = rows["kernel"].at[:, :2].set(directions)
+        return policy
 
     def codes(policy: Params) -> jax.Array:
         table = jax.vmap(lambda code: turned(symmetry, nearest(symmetry, code), code))(agent.codes(policy)[first])
@@ -64,7 +72,14 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
         return symmetry.obs.select(jnp.asarray(to_sector)[task], obs), jnp.asarray(first)[task]
 
     critic = agent.critic and seen_as(agent.critic, canonical_input)
-    return replace(agent, codes=codes, distribution=distribution, critic=critic, canonical=canonical_task)
+    return replace(
+        agent,
+        init_policy=init_policy,
+        codes=codes,
+        distribution=distribution,
+        critic=critic,
+        canonical=canonical_task,
+    )
 
 
 def nearest(symmetry: Symmetry, vector: jax.Array) -> jax.Array:

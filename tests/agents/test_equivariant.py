@@ -94,6 +94,12 @@ def test_a_value_sees_one_task_in_place_of_all_that_are_symmetric_to_it(program)
         assert which == first == 1
 
 
+def test_ltes_start_at_their_tasks_directions(program):
+    codes = np.asarray(program.agent.codes(program.agent.init_policy(jax.random.key(0))))
+    np.testing.assert_allclose(np.degrees(np.arctan2(codes[:, 1], codes[:, 0])) % 360, np.arange(24) * 15, atol=1e-3)
+    assert np.abs(codes[:, 2]).max() < 0.25
+
+
 def test_one_variant_brings_a_vector_into_the_sector(program):
     symmetry = program.family.symmetry
     vectors = np.concatenate([np.random.default_rng(0).normal(size=(100, 2)), np.eye(2), -np.eye(2), [[1, 1], [1, -1]]])
@@ -115,10 +121,14 @@ def test_statistics_are_those_of_all_variants():
 
 
 @pytest.mark.parametrize(
-    ("family", "lte_size", "complaint"),
-    [("halfcheetah-vel", 3, "halfcheetah-vel has no symmetry"), ("ant-dir", 1, "--network.lte-size is 1")],
+    ("family", "settings", "complaint"),
+    [
+        ("halfcheetah-vel", {"equivariant": True}, "halfcheetah-vel has no symmetry"),
+        ("ant-dir", {"equivariant": True, "lte_size": 1}, "--network.lte-size is 1"),
+        ("ant-dir", {"lte_start": "directions"}, "needs --network.equivariant True"),
+    ],
 )
-def test_what_cannot_be_turned_is_refused(family, lte_size, complaint):
+def test_what_cannot_be_turned_is_refused(family, settings, complaint):
     config = preset_config(family, "fast")
     with pytest.raises(UsageError, match=complaint):
-        make_program(replace(config, network=replace(config.network, equivariant=True, lte_size=lte_size)))
+        make_program(replace(config, network=replace(config.network, **settings)))
