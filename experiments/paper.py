@@ -77,7 +77,8 @@ CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
 WIDE, GATHERED, CATEGORICAL, EQUIVARIANT = "+wide", "+gathered", "+categorical", "+equivariant"
-EAR_VARIANTS = ("", EQUIVARIANT, CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
+TURNED = ("", EQUIVARIANT, EQUIVARIANT + GATHERED)
+EAR_VARIANTS = (*TURNED, CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
 
 EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
@@ -108,7 +109,7 @@ TABLES = (
         "table-1",
         "final returns of all methods",
         methods(FAMILIES, EVALUATION, variants=("", WIDE))
-        + methods((ANT,), EVALUATION, variants=(EQUIVARIANT,))
+        + methods((ANT,), EVALUATION, variants=TURNED[1:])
         + methods(FAMILIES, EVALUATION, agents=("pearl", "multihead", "onehot", "maml", "onehot-blind")),
     ),
     Experiment("table-2", "hyperparameters"),
@@ -178,7 +179,7 @@ OURS = (
     Experiment(
         "equivariant",
         "EAR that turns with the ant",
-        methods((ANT,), EVALUATION, INTERPOLATION, ADAPTATION, variants=("", EQUIVARIANT)),
+        methods((ANT,), EVALUATION, INTERPOLATION, ADAPTATION, variants=TURNED),
     ),
     Experiment(
         "refined",

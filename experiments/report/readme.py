@@ -13,13 +13,13 @@ from ear_jax.embeddings.map import PLACES
 from experiments.paper import (
     ADAPTATION,
     CHEETAH,
-    EQUIVARIANT,
     EXPERIMENTS,
     FAMILIES,
     GATHERED,
     REACH,
     REFINEMENT,
     RUN_JUMP,
+    TURNED,
     WIDE,
 )
 from experiments.report import documents, markdown
@@ -93,7 +93,7 @@ def _refined(runs: Sequence[Run]) -> str:
 def results(index: RunIndex) -> str:
     """Returns README's table: EAR beside the paper, with a row for each family."""
     rows = []
-    for family, variant in product(SHOWN, ("", EQUIVARIANT)):
+    for family, variant in product(SHOWN, TURNED):
         runs = index.runs(family, variant=variant)
         if runs:
             name, returned = NAMES[family] + VARIANTS[variant], spread([mean_return(run) for run in runs])
@@ -128,7 +128,7 @@ def details(index: RunIndex) -> str:
 def _our_runs(index: RunIndex) -> list[str]:
     """Returns the section on EAR: every family and variant, their budgets, machines, and notes on single runs."""
     runs = {family: index.runs(family) for family in SHOWN}
-    variants = [(family, variant) for family in SHOWN for variant in ("", EQUIVARIANT, WIDE, GATHERED)]
+    variants = [(family, variant) for family in SHOWN for variant in (*TURNED, WIDE, GATHERED)]
     rows = [_detailed(*method, shown) for method in variants if (shown := index.runs(method[0], variant=method[1]))]
     parts = [
         "## EAR on every family",

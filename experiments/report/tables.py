@@ -10,13 +10,13 @@ from ear_jax.envs.reach import NEAR
 from ear_jax.runs.statistics import interquartile_mean, probability_of_improvement
 from experiments.paper import (
     ANT,
-    EQUIVARIANT,
     EXPERIMENTS,
     FAMILIES,
     INTERPOLATION,
     REACH,
     REFINED_INTERPOLATION,
     REFINEMENT,
+    TURNED,
     WIDE,
     Method,
     numbers,
@@ -176,7 +176,7 @@ def _family_returns(index: RunIndex, family: str, methods: list[Method]) -> Tabl
 
 
 def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str]:
-    paper = paper_return(method.family, method.agent) if method.variant in ("", WIDE, EQUIVARIANT) else None
+    paper = paper_return(method.family, method.agent) if method.variant in (*TURNED, WIDE) else None
     cells = [label(method), printed(paper) if paper else MISSING]
     if not runs:
         return [*cells, NO_RUN, *[MISSING] * 6]
