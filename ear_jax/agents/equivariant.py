@@ -19,6 +19,7 @@ from ear_jax.agents.critic import seen_as
 from ear_jax.agents.networks import Params, Standardiser
 from ear_jax.agents.tanh_gaussian import Gaussian
 from ear_jax.envs.symmetry import Symmetry
+from ear_jax.process.target import exact_matmul
 from ear_jax.tasks import TaskParams
 
 TIE = 1e-5  # by which an earlier variant wins where two are as close
@@ -51,7 +52,8 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_direct
 
     def codes(policy: Params) -> jax.Array:
         table = jax.vmap(lambda code: turned(symmetry, nearest(symmetry, code), code))(agent.codes(policy)[first])
-        plane = jnp.einsum("tij,tj->ti", turns, table[:, :2])
+        with exact_matmul():
+            plane = jnp.einsum("tij,tj->ti", turns, table[:, :2])
         return jax.vmap(agent.project)(jnp.concatenate([plane, table[:, 2:]], axis=1))
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
@@ -85,8 +87,9 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_direct
 def nearest(symmetry: Symmetry, vector: jax.Array) -> jax.Array:
     """Returns the one-hot [variants] of the variant that brings a vector's first two numbers into the sector."""
     middle = math.pi / symmetry.variants
-    each = vector[:2][symmetry.plane.order] * symmetry.plane.sign @ np.array([math.cos(middle), math.sin(middle)])
-    closeness = jax.lax.stop_gradient(each) - TIE * np.arange(symmetry.variants)
+    each = vector[:2][symmetry.plane.order] * symmetry.plane.sign
+    along = jnp.sum(each * np.array([math.cos(middle), math.sin(middle)], np.float32), axis=1)
+    closeness = jax.lax.stop_gradient(along) - TIE * np.arange(symmetry.variants)
     return (closeness == jnp.max(closeness)).astype(jnp.float32)
 
 
