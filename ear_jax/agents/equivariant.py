@@ -18,7 +18,7 @@ from ear_jax.agents.agent import Agent
 from ear_jax.agents.critic import seen_as
 from ear_jax.agents.networks import Params, Standardiser
 from ear_jax.agents.tanh_gaussian import Gaussian
-from ear_jax.envs.symmetry import Symmetry
+from ear_jax.envs.symmetry import Symmetry, origins
 from ear_jax.process.target import exact_matmul
 from ear_jax.tasks import TaskParams
 
@@ -40,7 +40,9 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_direct
     nearest_variants = jax.vmap(lambda direction: nearest(symmetry, direction))(directions)
     canonical = np.asarray(jax.vmap(symmetry.plane.select)(nearest_variants, directions))
     to_sector = np.asarray(nearest_variants)  # [tasks, variants], one-hots
-    first, turns = _representatives(canonical), _turns(symmetry, to_sector, canonical)
+    source, exists = origins(symmetry, tasks)
+    first = np.where(exists, source, len(to_sector)).min(axis=0)  # the first task that is symmetric to each
+    turns = _turns(symmetry, to_sector, canonical)
     inverse = symmetry.action.inverse
 
     def init_policy(key: jax.Array) -> Params:
@@ -105,12 +107,6 @@ def symmetrised(standardiser: Standardiser, symmetry: Symmetry) -> Standardiser:
     variances = jax.vmap(symmetry.obs.unsigned, (0, None))(variants, standardiser.scale**-2)
     mean = jnp.mean(means, axis=0)
     return Standardiser(mean, jax.lax.rsqrt(jnp.mean(variances + (means - mean) ** 2, axis=0)))
-
-
-def _representatives(canonical: np.ndarray) -> np.ndarray:
-    """Returns the first task with each task's canonical direction, int [tasks]."""
-    same = np.linalg.norm(canonical[:, None] - canonical[None], axis=-1) < 1e-4
-    return np.argmax(same, axis=1)
 
 
 def _turns(symmetry: Symmetry, to_sector: np.ndarray, canonical: np.ndarray) -> np.ndarray:

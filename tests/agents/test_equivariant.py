@@ -56,20 +56,24 @@ def test_the_policy_turns_with_the_robot(program, policy):
     assert np.std(found.mean) > 0.01
 
 
-def test_critics_value_symmetric_tasks_alike(program):
-    """Q(g s, g a, g τ) = Q(s, a, τ)."""
-    symmetry, agent = program.family.symmetry, program.agent
+@pytest.mark.parametrize("seen", ["onehot", "lte", "both"])
+def test_critics_value_symmetric_tasks_alike(program, seen):
+    """Q(g s, g a, g τ) = Q(s, a, τ), whatever critics see of the task."""
+    config = replace(program.config, network=replace(program.config.network, critic_task=seen))
+    symmetry, agent = program.family.symmetry, make_program(config).agent
+    codes = agent.codes(agent.init_policy(jax.random.key(3)))
+    inputs = {"onehot": jnp.eye(24), "lte": codes, "both": jnp.concatenate([jnp.eye(24), codes], axis=1)}[seen]
     params = agent.critic.init(jax.random.key(0))
     obs, action = jax.random.normal(jax.random.key(1), (27,)), jax.random.normal(jax.random.key(2), (8,))
     predict = jax.jit(agent.critic.predict)
-    plain = predict(params, obs, action, jnp.eye(24)[1])  # dir-15
+    plain = predict(params, obs, action, inputs[1])  # dir-15
     for variant, task in ((1, 7), (2, 13), (4, 23)):  # turned by 90° and 180°, and mirrored
         np.testing.assert_allclose(
-            predict(params, symmetry.obs(variant, obs), symmetry.action(variant, action), jnp.eye(24)[task]),
+            predict(params, symmetry.obs(variant, obs), symmetry.action(variant, action), inputs[task]),
             plain,
             rtol=1e-4,
         )
-    assert abs(float(predict(params, obs, action, jnp.eye(24)[2]) - plain)) > 1e-4
+    assert abs(float(predict(params, obs, action, inputs[2]) - plain)) > 1e-4
 
 
 def test_ltes_of_symmetric_tasks_are_symmetric(program, policy):
