@@ -38,9 +38,11 @@ class StopRequest:
     Entered in another thread it records none, as signals are the main thread's; they do what the program decides.
     """
 
-    def __init__(self, announce: Callable[[str], None]):
+    def __init__(self, announce: Callable[[str], None], unit: str = "block"):
+        """Creates one that announces that the program stops after the `unit` in hand."""
         self.signal: int | None = None
         self._announce = announce
+        self._unit = unit
         self._listens = False
 
     def __enter__(self) -> StopRequest:
@@ -77,7 +79,7 @@ class StopRequest:
         if self.signal is not None:
             _leave(number)  # safe during a save, which is atomic
         self.signal = number
-        self._announce("stopping after this block; a second signal stops immediately")
+        self._announce(f"stopping after this {self._unit}; a second signal stops immediately")
 
 
 @contextlib.contextmanager

@@ -120,7 +120,10 @@ def _improve(
     improve = jax.jit(jax.vmap(learner.improve, (0, None, 0)), compiler_options=compiler_options())
     say(f"mean return before: {np.mean(course.before):.1f}")
     told = course  # at the last line of progress
-    with StopRequest(say) as request, TrainingBar(course.iteration, settings.iterations, "iteration") as bar:
+    with (
+        StopRequest(say, "iteration") as request,
+        TrainingBar(course.iteration, settings.iterations, "iteration") as bar,
+    ):
         while course.iteration < settings.iterations:
             began, number = time.perf_counter(), course.iteration
             of_iteration = jax.vmap(jax.random.fold_in, (0, None))(keys, number)

@@ -17,6 +17,7 @@ from experiments.report.formatting import MISSING, NAMES, count, seeds, spread
 from experiments.report.run_index import Run
 
 BLENDED = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
+FIRST = 5  # episodes of a task among which one that ends early counts, as in the paper
 
 
 def task_returns(run: Run) -> dict[str, float]:
@@ -85,11 +86,12 @@ def fresh_error(family: str, runs: Sequence[Run]) -> float | None:
 
 
 def failed_tasks(runs: Sequence[Run]) -> Count | None:
-    """Counts the tasks with an episode that ended early; None if no run was evaluated."""
+    """Counts the tasks with an episode that ended early, of its first five; None if no run was evaluated."""
 
     def failed(run: Run) -> list[bool]:
+        length = FAMILIES[run.config.family].episode_length
         tasks = [task for evaluation in run.of_seed("evaluation", "seeds") for task in evaluation["tasks"]]
-        return [task["failures"] > 0 for task in tasks if "failures" in task]
+        return [min(task["episodes"]["length"][:FIRST]) < length for task in tasks if "failures" in task]
 
     return _counted({run.seed: failed(run) for run in runs})
 

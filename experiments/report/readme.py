@@ -12,6 +12,7 @@ from ear_jax import pretrained
 from ear_jax.embeddings.map import PLACES
 from experiments.paper import (
     ADAPTATION,
+    ANT,
     CHEETAH,
     EXPERIMENTS,
     FAMILIES,
@@ -21,6 +22,7 @@ from experiments.paper import (
     RUN_JUMP,
     TURNED,
     WIDE,
+    episodes,
 )
 from experiments.report import documents, markdown
 from experiments.report.blocks import Table
@@ -104,11 +106,11 @@ def results(index: RunIndex) -> str:
 
 
 HOW_TO_READ = (
-    "*Return*: the mean over the training tasks, ± over seeds. *Refined*: the same after `ear refine`, which plays "
-    "more env steps. *Midway*: pairs of neighbouring tasks for which some blend of their LTEs meets the value midway, "
-    "in one episode a blend. *Again*: pairs for which the blend that came "
-    "nearest meets it in the mean of 10 fresh episodes. *Between*: pairs whose half-and-half blend lies between the "
-    "two. In brackets: the paper."
+    f"*Return*: the mean over the training tasks, from {episodes(CHEETAH)} episodes each (the ant: {episodes(ANT)}), ± "
+    "over seeds. *Refined*: the same after `ear refine`, which plays more env steps. *Midway*: pairs of neighbouring "
+    "tasks for which some blend of their LTEs meets the value midway, in one episode a blend. *Again*: pairs for which "
+    "the blend that came nearest meets it in the mean of 10 fresh episodes. *Between*: pairs whose half-and-half blend "
+    "lies between the two. In brackets: the paper."
 )
 FROM_A_MAP = (
     f"*Error from a map*: the mean error on tasks never trained on, when their LTEs are read off one map of {PLACES} "

@@ -19,6 +19,7 @@ from experiments.paper import (
     TURNED,
     WIDE,
     Method,
+    episodes,
     numbers,
 )
 from experiments.report.blocks import Block, Table
@@ -38,6 +39,7 @@ from experiments.report.formatting import (
     spread,
 )
 from experiments.report.measures import (
+    FIRST,
     Count,
     failed_tasks,
     fresh_error,
@@ -67,7 +69,6 @@ INTERPOLATED = (
     "distance between the two, in one episode. Again: the β that came nearest meets it in the mean of 10 fresh "
     "episodes. 1:1: the outcome at β = ½ lies between the two."
 )
-SOURCE = "Ours: from `ear evaluate`, or else from the last evaluation during training."
 
 
 def all_returns(index: RunIndex) -> list[Block]:
@@ -103,7 +104,7 @@ def variants(id: str, index: RunIndex) -> list[Block]:
     columns = ("return", *MEASURES.values(), "widest gap", "tasks with an episode that ends early", "minutes")
     caption = (
         "Returns, pairs of neighbouring tasks that blend, the widest angle between the LTEs of neighbours in each "
-        "seed, and tasks with failures."
+        f"seed, and tasks of whose first {FIRST} episodes one ends early."
     )
     return [Table(caption, ("family", "method", *columns), rows)]
 
@@ -139,7 +140,7 @@ def reach(index: RunIndex) -> list[Block]:
     methods, runs = EXPERIMENTS["reach"].methods, index.runs(REACH)
     caption = (
         f"{NAMES[REACH]}: mean return over the training goals. Each of {Family.episode_length} steps is worth 10 "
-        f"within {100 * NEAR:g} cm of the goal. {SOURCE}"
+        f"within {100 * NEAR:g} cm of the goal. {_source(REACH)}"
     )
     returned = [_method_returns(method, index.of(method), runs) for method in methods]
     blended = [[name, share(runs, successes(runs, measure))] for measure, name in MEASURES.items()]
@@ -169,10 +170,15 @@ def _family_returns(index: RunIndex, family: str, methods: list[Method]) -> Tabl
     steps, updates = paper_budget(family)
     caption = (
         f"{NAMES[family]}: mean return over the training tasks. The paper: {EXPERIMENTS['table-1'].seeds} seeds, for "
-        f"EAR-SAC {count(steps)} env steps and {count(updates)} updates. {SOURCE}"
+        f"EAR-SAC {count(steps)} env steps and {count(updates)} updates. {_source(family)}"
     )
     rows = [_method_returns(method, index.of(method), index.runs(family)) for method in methods]
     return Table(caption, ("method", "paper", *HEADS), rows)
+
+
+def _source(family: str) -> str:
+    """Returns where our returns of a family come from."""
+    return f"Ours: {episodes(family)} episodes a task by `ear evaluate`, or else the last evaluation during training."
 
 
 def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str]:
@@ -242,7 +248,8 @@ def failures(index: RunIndex) -> list[Block]:
     for (policy, paper), variant in zip(numbers()["table-8"]["panels"][""], ("+no-noise", ""), strict=True):
         runs = index.runs(ANT, "ear", variant)
         rows.append([policy, printed(paper), share(runs, failed_tasks(runs))])
-    return [Table("Tasks of Ant-Dir with an episode that ends early.", ("policy", "paper", "ours"), rows)]
+    caption = f"Tasks of Ant-Dir of whose first {FIRST} episodes one ends early."
+    return [Table(caption, ("policy", "paper", "ours"), rows)]
 
 
 def normalisation(index: RunIndex) -> list[Block]:

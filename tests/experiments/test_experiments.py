@@ -29,7 +29,7 @@ from tests.helpers.fake_records import write_run
 def test_what_is_missing_is_run_and_then_nothing_is(workplace):
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
     runs = [f"ant-dir-ear-fast{variant}-seed0" for variant in ("", "+no-noise")]
-    train, evaluate = "train ant-dir --agent ear --preset fast", "evaluate runs/{} --episodes 5 --json"
+    train, evaluate = "train ant-dir --agent ear --preset fast", "evaluate runs/{} --episodes 20 --json"
     export = "export runs/{0} records/.{0}.part/policy.safetensors"
     assert workplace == [
         f"{train} --seed 0",
@@ -114,7 +114,7 @@ def test_a_record_is_analysed_where_its_run_is_not(workplace, tmp_path):
     shutil.rmtree(tmp_path / "runs")
     workplace.clear()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    assert workplace == [f"evaluate records/{record.name}/policy.safetensors --episodes 5 --json"]
+    assert workplace == [f"evaluate records/{record.name}/policy.safetensors --episodes 20 --json"]
 
 
 def test_a_record_is_not_analysed_by_another_run_of_its_name(workplace, tmp_path):
@@ -125,7 +125,7 @@ def test_a_record_is_not_analysed_by_another_run_of_its_name(workplace, tmp_path
         rows.write('{"epoch": 999}\n')
     workplace.clear()
     assert main(["reproduce", "table-8", "--seeds", "1"]) == 0
-    assert workplace == [f"evaluate records/{record.name}/policy.safetensors --episodes 5 --json"]
+    assert workplace == [f"evaluate records/{record.name}/policy.safetensors --episodes 20 --json"]
 
 
 def test_training_again_drops_the_analyses_of_the_run_before(workplace):

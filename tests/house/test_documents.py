@@ -129,7 +129,7 @@ def said_of_the_gathered() -> list[str]:
 
 
 def ants(*names: str) -> tuple[list[str], str, str]:
-    """Returns of recorded runs of the ant each run's return, the range of speeds and the share of early ends."""
+    """Returns of recorded runs of the ant: each run's return, the range of speeds and the share of early ends."""
     returns, speeds, lengths = [], [], []
     for name in names:
         found = json.loads((RECORDS / f"ant-dir-ear-{name}" / "evaluation.json").read_text())
@@ -138,7 +138,7 @@ def ants(*names: str) -> tuple[list[str], str, str]:
             speeds.append(math.hypot(task["outcome"]["velocity_x"], task["outcome"]["velocity_y"]))
             lengths += task["episodes"]["length"]
     early = sum(length < 200 for length in lengths)
-    return returns, f"{min(speeds):.1f} to {max(speeds):.1f} m/s", f"{early} of {len(lengths)}"
+    return returns, f"{min(speeds):.1f} to {max(speeds):.1f} m/s", f"{early} of {count(len(lengths))}"
 
 
 def said_of_commands() -> list[str]:

@@ -37,7 +37,7 @@ def stops(monkeypatch):
     class Request:
         signal = 2
 
-        def __init__(self, _):
+        def __init__(self, *_):
             pass
 
         def __enter__(self):
