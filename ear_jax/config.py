@@ -48,8 +48,8 @@ class NetworkConfig:
     """Size of the state embedding (LSE)."""
     lte_size: int = 3
     """Size of the task embedding (LTE)."""
-    lte_start: Literal["spread", "gathered", "directions"] = "spread"
-    """Initial LTEs: anywhere on their sphere, within a few degrees of each other, or near their tasks' directions."""
+    lte_start: Literal["spread", "gathered"] = "spread"
+    """Initial LTEs: anywhere on their sphere, or within a few degrees of each other."""
     normalise_lse: bool = True
     """Project the LSE onto the unit sphere."""
     normalise_lte: bool = True

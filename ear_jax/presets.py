@@ -58,7 +58,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "gathered": {"network": {"lte_start": "gathered"}},
     "equivariant": {
         "epochs": 190,
-        "network": {"equivariant": True, "lte_start": "directions"},
+        "network": {"equivariant": True, "lte_start": "gathered"},
         "sac": {"lr_decay": 76_000},
     },
     # An update takes three times as long on a CPU, so a run has half as many.

@@ -29,6 +29,8 @@ class Agent:
     distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
     critic: Critic | None  # None for a method without critics
     code_noise: float = 0.0  # σ of the noise added to a code when an update samples actions; it is then projected
+    # A code, and the same with noise → what an update takes for the latter.
+    within: Callable[[jax.Array, jax.Array], jax.Array] = lambda code, noisy: noisy
     on_sphere: bool = False  # codes are unit vectors
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE
     # Policy parameters, obs, action → the next LSE and the step's outcomes in units of their spread, both predicted.

@@ -25,7 +25,7 @@ from ear_jax.tasks import TaskParams
 TIE = 1e-5  # by which an earlier variant wins where two are as close
 
 
-def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_directions: bool = False) -> Agent:
+def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
     """Wraps an agent so that symmetric tasks have symmetric LTEs, and act alike; critics value them alike.
 
     What it embeds and forecasts stays as it is: that depends on no task, so there is nothing to turn by.
@@ -34,7 +34,6 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_direct
       agent: whose codes are LTEs, of two numbers or more.
       symmetry: the family's.
       tasks: params, each leaf [tasks].
-      from_directions: LTEs start with the tasks' directions as their first two numbers; needs a linear task encoder.
     """
     directions = jnp.stack([jnp.float32(tasks[name]) for name in symmetry.direction], axis=1)
     nearest_variants = jax.vmap(lambda direction: nearest(symmetry, direction))(directions)
@@ -44,13 +43,6 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_direct
     first = np.where(exists, source, len(to_sector)).min(axis=0)  # the first task that is symmetric to each
     turns = _turns(symmetry, to_sector, canonical)
     inverse = symmetry.action.inverse
-
-    def init_policy(key: jax.Array) -> Params:
-        policy = agent.init_policy(key)
-        if from_directions:
-            rows = policy["networks"]["task_encoder"]["params"]["Dense_0"]
-            rows["kernel"] = rows["kernel"].at[:, :2].set(directions)
-        return policy
 
     def codes(policy: Params) -> jax.Array:
         table = jax.vmap(lambda code: turned(symmetry, nearest(symmetry, code), code))(agent.codes(policy)[first])
@@ -62,6 +54,12 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_direct
         variant = nearest(symmetry, code)
         seen = agent.distribution(policy, turned(symmetry, variant, code), symmetry.obs.select(variant, obs))
         return Gaussian(inverse.select(variant, seen.mean), inverse.unsigned.select(variant, seen.log_std))
+
+    def within(code: jax.Array, noisy: jax.Array) -> jax.Array:
+        """Folds a noisy LTE back into its LTE's own sector: across an edge the policy acts like its mirror image."""
+        inside = turned(symmetry, nearest(symmetry, noisy), noisy)
+        back = symmetry.plane.inverse.select(nearest(symmetry, code), inside[:2])
+        return jnp.concatenate([back, inside[2:]])
 
     def canonical_input(obs: jax.Array, action: jax.Array, task: jax.Array) -> tuple[jax.Array, ...]:
         count = 0 if agent.critic_task == "lte" else len(first)
@@ -78,9 +76,9 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams, from_direct
     critic = agent.critic and seen_as(agent.critic, canonical_input)
     return replace(
         agent,
-        init_policy=init_policy,
         codes=codes,
         distribution=distribution,
+        within=within,
         critic=critic,
         canonical=canonical_task,
     )

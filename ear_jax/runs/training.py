@@ -85,8 +85,6 @@ def make_program(config: Config) -> Program:
         raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
     if config.network.equivariant and family.symmetry is None:
         raise UsageError(f"--network.equivariant True would change nothing: {family.name} has no symmetry")
-    if config.network.lte_start == "directions" and (config.network.task_layers or not config.network.equivariant):
-        raise UsageError("--network.lte-start directions needs --network.equivariant True and --network.task-layers 0")
     if config.network.equivariant and config.network.lte_size < 2:
         raise UsageError("--network.equivariant True turns the first two numbers of an LTE; --network.lte-size is 1")
     float32 = replace(config, network=replace(config.network, matmul="float32"))
@@ -112,8 +110,7 @@ def _agent(config: Config, family: Family, tasks: TaskSet) -> Agent:
     sizes = Sizes(family.observation_size, family.action_size, len(tasks), len(family.outcome_shapes))
     agent = make_agent(sizes, config)
     symmetry = family.symmetry if config.network.equivariant else None
-    from_directions = config.network.lte_start == "directions"
-    return equivariant(agent, symmetry, tasks.params, from_directions) if symmetry else agent
+    return equivariant(agent, symmetry, tasks.params) if symmetry else agent
 
 
 def seed_keys(config: Config) -> jax.Array:
