@@ -60,14 +60,13 @@ def methods(
 
 
 def on(family: str, analysis: Analysis) -> Analysis:
-    """Returns an analysis as it is made of a family, which says how many episodes an evaluation takes."""
-    evaluates = analysis.command == "evaluate"
-    return replace(analysis, options=("--episodes", str(episodes(family)))) if evaluates else analysis
+    """Returns an analysis with the options that it has for a family."""
+    return replace(analysis, options=OPTIONS.get((family, analysis.command), analysis.options))
 
 
 def episodes(family: str) -> int:
-    """Returns the episodes of each task in an evaluation; the ant's returns scatter, so it plays more."""
-    return 20 if family == ANT else 5
+    """Returns the episodes of each task in an evaluation."""
+    return int(on(family, EVALUATION).options[-1])
 
 
 def between(kind: str, first: str, second: str, *options: str) -> Analysis:
@@ -90,16 +89,22 @@ CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
 WIDE, GATHERED, CATEGORICAL, EQUIVARIANT = "+wide", "+gathered", "+categorical", "+equivariant"
-TURNED = ("", EQUIVARIANT, EQUIVARIANT + GATHERED)
+TURNED = ("", EQUIVARIANT)
 EAR_VARIANTS = (*TURNED, CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
 
-EVALUATION = Analysis("evaluation", "evaluate")
+EVALUATION = Analysis("evaluation", "evaluate", ("--episodes", "5"))
 INTERPOLATION = Analysis("interpolation", "interpolate", ("--all-pairs",))
 ADAPTATION = Analysis("adaptation", "adapt")
 REFINED = "refined.safetensors"
 REFINEMENT = Analysis("refinement", "refine", writes=REFINED)
 REFINED_EVALUATION = replace(EVALUATION, name="refined-evaluation", of=REFINED)
 REFINED_INTERPOLATION = replace(INTERPOLATION, name="refined-interpolation", of=REFINED)
+# By family: an ant's returns scatter, and one episode of a task teaches those that are symmetric to it, too.
+OPTIONS = {
+    (ANT, "evaluate"): ("--episodes", "20"),
+    (ANT, "refine"): ("--iterations", "800", "--iteration-episodes", "48"),
+    (CHEETAH, "refine"): ("--iterations", "1000"),
+}
 REFINING = (EVALUATION, INTERPOLATION, REFINEMENT, REFINED_EVALUATION, REFINED_INTERPOLATION)
 MAP = Analysis("map", "map")
 SENSORY = Analysis("lse", "lse")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from ear_jax.cli.arguments import check_finite, check_least, option, parse
+from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, print_table, show_and_keep
 from ear_jax.config import flag
@@ -34,24 +34,19 @@ class RefineCommand(OnRun):
     """Episodes of an iteration, shared evenly by the tasks."""
     divergence: float = 0.03
     """KL divergence by which an iteration changes the policy, at first; it falls to a tenth, and sets the step size."""
-    noise: Annotated[float | None, option("FLOAT", "0.5; ant-dir: 1")] = None
+    noise: float = 0.5
     """Factor on the policy's σ while it plays."""
-    least_noise: Annotated[float | None, option("FLOAT", "0.1; ant-dir: 0.2")] = None
+    least_noise: float = 0.1
     """The least σ while it plays, before tanh."""
     episodes: int = 20
     """Fresh episodes a task in which the policy before and after is compared."""
-
-    @property
-    def given(self) -> dict[str, float]:
-        """The numbers that go over those of the family."""
-        numbers = {"divergence": self.divergence, "noise": self.noise, "least_noise": self.least_noise}
-        return {name: number for name, number in numbers.items() if number is not None}
 
 
 def main(words: list[str]) -> None:
     command = parse(RefineCommand, words, "refine")
     check_least(command, iterations=1, iteration_episodes=1, episodes=1)
-    for name, number in command.given.items():
+    numbers = {name: getattr(command, name) for name in ("divergence", "noise", "least_noise")}
+    for name, number in numbers.items():
         check_finite(flag(name), number)
         if number < 0 or (number == 0 and name != "noise"):
             least = "at least 0" if name == "noise" else "above 0"
@@ -67,7 +62,6 @@ def main(words: list[str]) -> None:
     from ear_jax.runs.refine import Refinement, refine
     from ear_jax.runs.trained import results_of, save
 
-    numbers: dict[str, Any] = {**trained.program.family.refining, **command.given}
     settings = Refinement(command.iterations, Ppo(episodes=command.iteration_episodes, **numbers))
     part = command.file.with_suffix(".part")
     refined, document = refine(trained, settings, command.episodes, command.seed, part)

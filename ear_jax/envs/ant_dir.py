@@ -49,7 +49,6 @@ class AntDir(AngleFamily):
         "fast": {"replay": {"capacity": 480_000, "own_share": 0.5, "symmetry": True}},
         "smoke": {"tasks": ("0", "90", "180", "270")},
     }
-    refining: ClassVar[Mapping[str, float]] = {"noise": 1.0, "least_noise": 0.2}  # with less, refining gained nothing
 
     def at(self, angle: float) -> Task:
         """Returns the task to run at `angle` degrees from the x axis, dir-45 for 45 degrees."""

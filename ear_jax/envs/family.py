@@ -46,7 +46,6 @@ class Family(Env):
     episode_length: ClassVar[int] = 200  # steps; the time limit is not a termination
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {}  # preset → settings changed for this family
-    refining: ClassVar[Mapping[str, float]] = {}  # settings of `ear refine` changed for this family
 
     history: int = 1  # observations the agent sees at once; at a start all are the first observation
 

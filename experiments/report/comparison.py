@@ -11,15 +11,16 @@ import numpy as np
 
 from ear_jax.embeddings.interpolate import REACHED
 from ear_jax.envs.halfcheetah_vel import HalfCheetahVel
-from experiments.paper import ANT, CHEETAH, EXPERIMENTS, FAMILIES, numbers
+from experiments.paper import ANT, CHEETAH, EXPERIMENTS, FAMILIES, TURNED, numbers
 from experiments.report.blocks import Points, Section
-from experiments.report.formatting import NAMES, label, number, percent, printed, seeds
+from experiments.report.formatting import NAMES, VARIANTS, label, number, percent, printed, seeds, spread
 from experiments.report.measures import (
     failed_tasks,
     mean_return,
     paper_budget,
     paper_counts,
     paper_return,
+    refinements,
     returns,
     successes,
     task_returns,
@@ -75,30 +76,43 @@ def comparison(index: RunIndex) -> Section:
     )
 
 
-def is_level(runs: Sequence[Run], paper: dict[str, float]) -> bool:
-    """Returns whether the runs' mean return is no worse than the paper's mean minus its standard deviation."""
-    return bool(np.mean([mean_return(run) for run in runs]) >= paper["mean"] - paper["std"])
+def is_level(values: Sequence[float], paper: dict[str, float]) -> bool:
+    """Returns whether the mean of returns is no worse than the paper's mean minus its standard deviation."""
+    return bool(np.mean(values) >= paper["mean"] - paper["std"])
 
 
 def _verdicts(index: RunIndex, family: str) -> Iterator[Verdict]:
-    runs, paper = index.runs(family), paper_return(family, "ear")
-    if not runs or not paper:
-        return
-    yield _return_verdict(NAMES[family], runs, paper)
+    """Yields verdicts on EAR of a family, and on the one that turns with the robot."""
+    for variant in TURNED:
+        runs, name = index.runs(family, variant=variant), NAMES[family] + VARIANTS[variant]
+        if runs:
+            yield from _returned(family, name, runs)
+            yield from _blended(family, name, runs)
+            yield from _failed(name, runs) if family == ANT else ()
+
+
+def _returned(family: str, name: str, runs: list[Run]) -> Iterator[Verdict]:
+    paper, refined = paper_return(family, "ear"), [entry["after"] for entry in refinements(runs)]
+    if paper:
+        yield _return_verdict(f"{name}, return", [mean_return(run) for run in runs], paper)
+    if paper and refined:
+        yield _return_verdict(f"{name}, return after `ear refine`", refined, paper)
+
+
+def _blended(family: str, name: str, runs: list[Run]) -> Iterator[Verdict]:
     for measure, words in MEASURES.items():
         counted, theirs = successes(runs, measure), paper_counts(family, measure)
         if counted and theirs:
             as_often = counted.number * theirs["total"] >= theirs["success"] * counted.total
             numbers_of_both = f"{counted} pairs ({seeds(counted.seeds)}); the paper {printed(theirs)}."
-            yield as_often, f"{NAMES[family]}, {words}: {numbers_of_both}"
-    failed = failed_tasks(runs) if family == ANT else None
-    if failed:
-        theirs = numbers()["table-8"]["panels"][""][1][1]
-        as_seldom = failed.number * theirs["total"] <= theirs["failed"] * failed.total
-        yield (
-            as_seldom,
-            f"{NAMES[family]}, tasks with an episode that ends early: {failed}; the paper {printed(theirs)}.",
-        )
+            yield as_often, f"{name}, {words}: {numbers_of_both}"
+
+
+def _failed(name: str, runs: list[Run]) -> Iterator[Verdict]:
+    counted, theirs = failed_tasks(runs), numbers()["table-8"]["panels"][""][1][1]
+    if counted:
+        as_seldom = counted.number * theirs["total"] <= theirs["failed"] * counted.total
+        yield as_seldom, f"{name}, tasks with an episode that ends early: {counted}; the paper {printed(theirs)}."
 
 
 def _baselines(index: RunIndex) -> Iterator[Verdict]:
@@ -106,11 +120,12 @@ def _baselines(index: RunIndex) -> Iterator[Verdict]:
     for method in EXPERIMENTS["table-1"].methods:
         runs, paper = index.of(method), paper_return(method.family, method.agent)
         if method.agent != "ear" and runs and paper:
-            yield _return_verdict(f"{NAMES[method.family]}, {label(method)}", runs, paper)
+            values = [mean_return(run) for run in runs]
+            yield _return_verdict(f"{NAMES[method.family]}, {label(method)}, return", values, paper)
 
 
-def _return_verdict(name: str, runs: list[Run], paper: dict[str, float]) -> Verdict:
-    return is_level(runs, paper), f"{name}, return: {returns(runs)}; the paper {printed(paper)}."
+def _return_verdict(what: str, values: Sequence[float], paper: dict[str, float]) -> Verdict:
+    return is_level(values, paper), f"{what}: {spread(values)} ({seeds(values)}); the paper {printed(paper)}."
 
 
 def _budgets(index: RunIndex) -> Iterator[str]:

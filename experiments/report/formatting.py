@@ -39,7 +39,6 @@ VARIANTS = {
     "+gathered": ", LTEs gathered at the start",
     "+categorical": ", categorical critics",
     "+equivariant": ", equivariant",
-    "+equivariant+gathered": ", equivariant, LTEs gathered at the start",
 }
 
 

@@ -72,7 +72,7 @@ def headline(index: RunIndex) -> str:
     met, theirs = successes(runs, "mid_task"), paper_counts(CHEETAH, "mid_task")
     if not (met and again and error is not None and theirs and paper):
         return "HalfCheetah-Vel has no analysed run yet."
-    level = "level with" if is_level(runs, paper) else "short of"
+    level = "level with" if is_level([mean_return(run) for run in runs], paper) else "short of"
     steps = float(np.mean([run.last["env_steps"] for run in runs])) / paper_budget(CHEETAH)[0]
     return (
         f"**HalfCheetah-Vel: for {again} pairs of neighbouring trained speeds, a blend runs at the speed midway**, to "

@@ -89,7 +89,7 @@ def test_ltes_of_symmetric_tasks_are_symmetric(program, policy):
 
 
 def test_noise_leaves_an_lte_in_its_sector(program, policy):
-    """Where it would cross an edge, it is folded back; elsewhere it is as drawn."""
+    """Noise that would cross an edge is folded back; the rest is as drawn."""
     symmetry, agent = program.family.symmetry, program.agent
     codes, noise = agent.codes(policy), 0.1 * jax.random.normal(jax.random.key(5), (24, 100, 3))
     noisy = jax.vmap(jax.vmap(agent.project))(codes[:, None] + noise)

@@ -7,8 +7,9 @@ import json
 import pytest
 
 from ear_jax.cli.main import main
-from ear_jax.envs.ant_dir import AntDir
+from ear_jax.cli.refine import RefineCommand
 from ear_jax.learning.ppo import Ppo
+from ear_jax.runs.refine import Refinement
 from ear_jax.runs.trained import describe, load, pick
 
 QUICK = ("--iterations", "1", "--iteration-episodes", "1", "--episodes", "1")
@@ -31,11 +32,11 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
     assert f"{file} already exists; name another file" in capsys.readouterr().err
 
 
-def test_help_tells_the_noise_that_the_settings_have(capsys):
-    assert main(["refine", "--help"]) == 0
-    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    for name in ("noise", "least_noise"):
-        assert f"(default: {getattr(Ppo, name):g}; ant-dir: {AntDir.refining[name]:g})" in said
+def test_defaults_are_those_of_the_algorithm():
+    assert RefineCommand.iterations == Refinement().iterations
+    assert RefineCommand.iteration_episodes == Ppo.episodes
+    for name in ("divergence", "noise", "least_noise"):
+        assert getattr(RefineCommand, name) == getattr(Ppo, name)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from benchmarks import common, recipe, scale
-from ear_jax import pretrained
 from ear_jax.runs import records
 from experiments.inventory import RECORDS
 from experiments.report import documents, measures, readme
@@ -62,7 +61,7 @@ def said_of_the_long_run() -> list[str]:
     """The gain of twice the length for the cheetah, in the words of `docs/fast.md`."""
     usual, long = (
         [one["mean_return"] for one in json.loads((RECORDS / name / "evaluation.json").read_text())["seeds"]]
-        for name in ("halfcheetah-vel-ear-fast-seeds0-4", pretrained.card("halfcheetah-vel")["record"])
+        for name in ("halfcheetah-vel-ear-fast-seeds0-4", "halfcheetah-vel-ear-fast-760-epochs-seeds0-4")
     )
     assert len(usual) == len(long) == 5
     return [
@@ -139,6 +138,12 @@ def ants(*names: str) -> tuple[list[str], str, str]:
             lengths += task["episodes"]["length"]
     early = sum(length < 200 for length in lengths)
     return returns, f"{min(speeds):.1f} to {max(speeds):.1f} m/s", f"{early} of {count(len(lengths))}"
+
+
+def said_of_refining() -> list[str]:
+    """The returns of the refined cheetahs."""
+    *most, last = (number(one["after"]) for one in measures.refinements(RunIndex("fast").runs("halfcheetah-vel")))
+    return [f"the seeds return {', '.join(most)} and {last}"]
 
 
 def said_of_commands() -> list[str]:
@@ -270,6 +275,8 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_the_gathered, "docs/fast.md"),
         (said_of_the_long_run, "docs/fast.md"),
         (said_of_half_runs, "docs/fast.md"),
+        (said_of_refining, "docs/fast.md"),
+        (said_of_refining, "docs/refining.md"),
         (said_of_a_gpu, "docs/training.md"),
     ],
 )
@@ -303,6 +310,7 @@ def test_nothing_that_looks_measured_stands_unchecked(path):
         *said_of_commands(),
         *said_of_courses(),
         *said_of_half_runs(),
+        *said_of_refining(),
         *said_of_a_gpu(),
         *GIVEN,
     ):
