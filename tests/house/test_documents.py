@@ -146,6 +146,26 @@ def said_of_refining() -> list[str]:
     return [f"the seeds return {', '.join(most)} and {last}"]
 
 
+def refined_ants() -> list[dict[str, Any]]:
+    return measures.refinements(RunIndex("fast").runs("ant-dir", variant="+equivariant"))
+
+
+def said_of_the_refined_ant() -> list[str]:
+    """The returns of the equivariant ants before and after."""
+    before, after = (" and ".join(number(entry[when], 0) for entry in refined_ants()) for when in ("before", "after"))
+    return [f"its seeds return {after}, and {before} before"]
+
+
+def said_of_gains() -> list[str]:
+    """The gains of refining, in the words of `docs/fast.md`."""
+    cheetahs, ants = (
+        [entry["after"] - entry["before"] for entry in entries]
+        for entries in (measures.refinements(RunIndex("fast").runs("halfcheetah-vel")), refined_ants())
+    )
+    told = " and ".join(number(gain, 0) for gain in ants)
+    return [f"the cheetah gains {number(float(np.mean(cheetahs)), 0)}, the equivariant ant {told}"]
+
+
 def said_of_commands() -> list[str]:
     """Words of `docs/results.md` about how long commands take."""
     rows: dict[str, dict[str, Any]] = {
@@ -277,6 +297,8 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_half_runs, "docs/fast.md"),
         (said_of_refining, "docs/fast.md"),
         (said_of_refining, "docs/refining.md"),
+        (said_of_gains, "docs/fast.md"),
+        (said_of_the_refined_ant, "docs/refining.md"),
         (said_of_a_gpu, "docs/training.md"),
     ],
 )

@@ -9,6 +9,8 @@ import re
 import struct
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -103,6 +105,7 @@ def test_a_run_goes_to_weights_and_biases_offline(tiny, run_directory, monkeypat
     assert [file.stem[-1] for file in files] == ["0", "1"]
     for seed, file in enumerate(files):
         own = [row for row in rows if row["seed"] == seed]
+        until(lambda file=file, own=own: len(history(file)) == len(own))  # another process writes it
         assert [entry["mean_return"] for entry in history(file)] == [row["mean_return"] for row in own]
         assert [entry["_step"] for entry in history(file)] == [row["env_steps"] for row in own]
     before = records.read_json(run_directory / "wandb.json")
@@ -110,6 +113,13 @@ def test_a_run_goes_to_weights_and_biases_offline(tiny, run_directory, monkeypat
     assert records.read_json(run_directory / "wandb.json") == {**before, "epoch": 6}
     (later,) = set(run_directory.glob("wandb/offline-run-*-0/*.wandb")) - set(files)
     assert [entry["epoch"] for entry in history(later)] == [6]  # and nothing again
+
+
+def until(holds: Callable[[], bool]) -> None:
+    """Waits for a condition, at most 30 seconds."""
+    end = time.monotonic() + 30
+    while not holds() and time.monotonic() < end:
+        time.sleep(0.1)
 
 
 def history(file: Path) -> list[dict[str, float]]:
