@@ -75,6 +75,7 @@ def said_of_the_ant() -> list[str]:
     returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
     wide, wide_speeds, wide_early = ants(*(f"fast+wide-seed{seed}" for seed in range(3)))
     (half_as_long,), *_ = ants("fast-width-512-seed1")
+    turned, *_ = ants(*(f"fast+equivariant-seed{seed}" for seed in range(3)))
     (low, high), (wide_low, wide_high) = (sorted(values, key=int)[::2] for values in (returns, wide))
     return [
         f"ant: {wide_low} to {wide_high} instead of {low} to {high}",
@@ -84,6 +85,8 @@ def said_of_the_ant() -> list[str]:
         f"its seeds return {wide[0]}, {wide[1]} and {wide[2]}, at {wide_speeds}",
         f"and {wide_early} episodes end early",
         f"seed 1 returns {half_as_long}",
+        f"{min(turned)} to {max(turned)} after half the updates",
+        f"three seeds return {turned[0]}, {turned[1]} and {turned[2]}",
     ]
 
 
