@@ -22,7 +22,7 @@ from ear_jax.runs import records
 from ear_jax.runs.export import read_about, read_policy, write_policy
 from ear_jax.runs.trained import load
 from experiments.inventory import RECORDS
-from experiments.publish import ALL_BYTES, FILE_BYTES
+from experiments.publish import ALL_BYTES, FILE_BYTES, among_seeds
 
 NAMES = pretrained.names()
 AGENT = Path("pretrained:hopper-vel")
@@ -68,6 +68,13 @@ def test_it_is_the_best_seed_that_is_recorded(name):
             recorded |= {(path.parent.name, path.name, one["seed"]): one["mean_return"] for one in seeds}
     kind = "refined-evaluation.json" if "refined" in card else "evaluation.json"
     assert recorded[card["record"], kind, card["seed"]] == card["mean_return"] == max(recorded.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_tells_among_how_many_seeds_it_was_chosen(name):
+    card = pretrained.card(name)
+    found = among_seeds(load(Path(f"pretrained:{name}")), "refined" in card)
+    assert found == pytest.approx({key: card[key] for key in found})
 
 
 def test_there_are_some_and_they_are_small_and_in_the_wheel():
