@@ -86,7 +86,7 @@ def fresh_error(family: str, runs: Sequence[Run]) -> float | None:
 
 
 def failed_tasks(runs: Sequence[Run]) -> Count | None:
-    """Counts the tasks with an episode that ended early, of its first five; None if no run was evaluated."""
+    """Counts the tasks of whose first five episodes one ended early; None if no run was evaluated."""
 
     def failed(run: Run) -> list[bool]:
         length = FAMILIES[run.config.family].episode_length

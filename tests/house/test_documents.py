@@ -130,6 +130,25 @@ def said_of_the_gathered() -> list[str]:
     ]
 
 
+def said_of_the_turned() -> list[str]:
+    """The blends of the equivariant ants, and of the trial whose LTEs started at their tasks' directions."""
+    found = RunIndex("fast")
+    runs, usual = found.runs("ant-dir", variant="+equivariant"), found.runs("ant-dir")
+    beside = [measures.gaps(run)[0] for run in runs]
+    midway = [met.number for run in runs if (met := measures.successes([run], "mid_task"))]
+    trials = {row["trial"]: row["curve"] for row in records.read_rows(common.RESULTS / "recipe.jsonl")}
+    directions = trials["… equivariant, LTEs start at their directions, seed 0"][-1][3]
+    again, of_fast = (measures.successes(each, "fresh") for each in (runs, usual))
+    assert again
+    return [
+        f"{min(beside):.0f} to {max(beside):.0f}° lie between the LTEs of 0 and 15°",
+        f"All of seed 1's {midway[1]} pairs meet the direction midway",
+        f"{midway[0]} of seed 0's and {midway[2]} of seed 2's",
+        f"{again.number} of the {again.total} blends still meet it; of 's, {of_fast} do",
+        f"returned {number(directions, 0)}",
+    ]
+
+
 def ants(*names: str) -> tuple[list[str], str, str]:
     """Returns of recorded runs of the ant: each run's return, the range of speeds and the share of early ends."""
     returns, speeds, lengths = [], [], []
@@ -293,6 +312,7 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_rewards, "docs/asking-for-behaviour.md"),
         (said_of_courses, "docs/asking-for-behaviour.md"),
         (said_of_the_ant, "docs/fast.md"),
+        (said_of_the_turned, "docs/fast.md"),
         (said_of_the_wide, "docs/fast.md"),
         (said_of_the_ring, "docs/fast.md"),
         (said_of_the_gathered, "docs/fast.md"),
