@@ -1,4 +1,4 @@
-"""Draws and tabulates the trials behind the `fast` preset for `docs/fast.md`, from `results/recipe.jsonl` alone.
+"""Draws and tabulates the trials behind the `fast` preset for `docs/trials.md`, from `results/recipe.jsonl` alone.
 
 A row is one trial: what differed from the first, the trial it is held against, and its curve as [updates, env steps,
 seconds, mean return], of one seed or averaged over several.
@@ -21,7 +21,7 @@ from experiments.report.blocks import Table
 from experiments.report.formatting import MISSING, NAMES, count, number
 from experiments.report.markdown import table
 
-DOCUMENT = RESULTS.parent.parent / "docs" / "fast.md"
+DOCUMENT = RESULTS.parent.parent / "docs" / "trials.md"
 PLACE = "trials"
 PICTURE = DOCUMENT.parent / "images" / "recipe.png"
 COLUMNS = ("trial", "family", "held against", "updates", "return", "return of the other")

@@ -58,7 +58,7 @@ def said_of_the_cheetah() -> list[str]:
 
 
 def said_of_the_long_run() -> list[str]:
-    """The gain of twice the length for the cheetah, in the words of `docs/fast.md`."""
+    """The gain of twice the length for the cheetah, in the words of `docs/trials.md`."""
     usual, long = (
         [one["mean_return"] for one in json.loads((RECORDS / name / "evaluation.json").read_text())["seeds"]]
         for name in ("halfcheetah-vel-ear-fast-seeds0-4", "halfcheetah-vel-ear-fast-760-epochs-seeds0-4")
@@ -219,7 +219,7 @@ def said_of_rewards() -> list[str]:
 
 
 def said_of_half_runs() -> list[str]:
-    """Words of `docs/fast.md` about half runs on a GPU; where a trial stopped short, its updates follow its return."""
+    """Words of `docs/trials.md` about half runs on a GPU; where a trial stopped short, its updates follow its return."""
     rows = records.read_rows(common.RESULTS / "recipe.jsonl")
     curves = {(row["family"], row["trial"]): row["curve"] for row in rows}
     base, critics = "half as long, two seeds", "… residual categorical critics (BRC), the "
@@ -314,11 +314,11 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_the_ant, "docs/fast.md"),
         (said_of_the_turned, "docs/fast.md"),
         (said_of_the_wide, "docs/fast.md"),
-        (said_of_the_ring, "docs/fast.md"),
-        (said_of_the_gathered, "docs/fast.md"),
-        (said_of_the_long_run, "docs/fast.md"),
-        (said_of_half_runs, "docs/fast.md"),
-        (said_of_refining, "docs/fast.md"),
+        (said_of_the_ring, "docs/trials.md"),
+        (said_of_the_gathered, "docs/trials.md"),
+        (said_of_the_long_run, "docs/trials.md"),
+        (said_of_half_runs, "docs/trials.md"),
+        (said_of_refining, "docs/trials.md"),
         (said_of_refining, "docs/refining.md"),
         (said_of_gains, "docs/fast.md"),
         (said_of_the_refined_ant, "docs/refining.md"),
