@@ -219,7 +219,7 @@ def said_of_rewards() -> list[str]:
 
 
 def said_of_half_runs() -> list[str]:
-    """Words of `docs/trials.md` about half runs on a GPU; where a trial stopped short, its updates follow its return."""
+    """Words of `docs/trials.md` on half runs on a GPU; where a trial stopped short, its updates follow its return."""
     rows = records.read_rows(common.RESULTS / "recipe.jsonl")
     curves = {(row["family"], row["trial"]): row["curve"] for row in rows}
     base, critics = "half as long, two seeds", "… residual categorical critics (BRC), the "
