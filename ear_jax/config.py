@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import reprlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal, get_type_hints
 
@@ -191,8 +192,7 @@ class Config:
     family: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FAMILY")]]
     """Task family: a name from `ear families`, or path/to/file.py:ClassName."""
     preset: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "fast"
-    """paper, fast or smoke, optionally with variants: +no-noise, +no-norm, +task-hidden, +wide, +gathered,
-    +categorical."""
+    """paper, fast or smoke; variants: +no-noise +no-norm +task-hidden +wide +gathered +equivariant +categorical."""
     agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "ear"
     """The method: ear, which is the paper's, ear-rnn, multihead, onehot, onehot-blind, pearl or maml."""
     engine: Annotated[str, tyro.conf.arg(metavar="ENGINE")] = "auto"
@@ -284,6 +284,11 @@ def is_on(number: Any) -> bool:
 def flag(name: str) -> str:
     """Returns a setting's flag on the command line."""
     return "--" + name.replace("_", "-")
+
+
+def env_flags(options: Mapping[str, Any]) -> str:
+    """Returns options of a family as on the command line, each after a space."""
+    return "".join(f" {flag(f'env.{name}')} {value}" for name, value in options.items())
 
 
 def words_of(config: Config) -> list[str]:

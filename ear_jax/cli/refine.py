@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +12,7 @@ import tyro
 from ear_jax.cli.arguments import check_finite, check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, print_table, show_and_keep
-from ear_jax.config import flag
+from ear_jax.config import EnvConfig, flag
 from ear_jax.errors import UsageError
 from ear_jax.pretrained import SUFFIX
 
@@ -38,6 +38,8 @@ class RefineCommand(OnRun):
     """Factor on the policy's σ while it plays."""
     least_noise: float = 0.1
     """The least σ while it plays, before tanh."""
+    env: EnvConfig = field(default_factory=EnvConfig)
+    """Options of the family while the policy learns, by default the run's. The returns told are always the run's."""
     episodes: int = 20
     """Fresh episodes a task in which the policy before and after is compared."""
 
@@ -62,7 +64,8 @@ def main(words: list[str]) -> None:
     from ear_jax.runs.refine import Refinement, refine
     from ear_jax.runs.trained import results_of, save
 
-    settings = Refinement(command.iterations, Ppo(episodes=command.iteration_episodes, **numbers))
+    options = {name: value for name, value in asdict(command.env).items() if value is not None}
+    settings = Refinement(command.iterations, Ppo(episodes=command.iteration_episodes, **numbers), options)
     part = command.file.with_suffix(".part")
     refined, document = refine(trained, settings, command.episodes, command.seed, part)
     save(command.file, refined, [])

@@ -8,6 +8,8 @@ import re
 import shlex
 from typing import Any
 
+from ear_jax.config import env_flags
+
 LIBRARY = "ear-jax"
 
 
@@ -86,8 +88,8 @@ def _about(card: dict[str, Any]) -> list[str]:
 def _refinement(refined: dict[str, Any]) -> str:
     ((before, after),) = refined["mean_returns"]
     return (
-        f"by `ear refine`, with {refined['env_steps']:,} of the env steps and {refined['updates']:,} gradient steps: "
-        f"mean return {before:.1f} before, {after:.1f} after"
+        f"by `ear refine{env_flags(refined.get('options', {}))}`, with {refined['env_steps']:,} of the env steps and "
+        f"{refined['updates']:,} gradient steps: mean return {before:.1f} before, {after:.1f} after"
     )
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -39,6 +39,7 @@ class Refinement:
 
     iterations: int = 300
     ppo: Ppo = field(default_factory=Ppo)
+    options: Mapping[str, Any] = field(default_factory=dict)  # of the family: what differs while the policy learns
 
     def divergence(self, number: int) -> float:
         """Returns the divergence that is wanted of an iteration, counted from 0."""
@@ -73,7 +74,8 @@ def refine(
       The refined policies, whose `about` tells of it, and the document that `ear refine --json` prints.
 
     Raises:
-      UsageError: the agent finds its codes from experience, or `part` belongs to another refinement.
+      UsageError: the agent finds its codes from experience, the family does not have an option, or `part` belongs to
+        another refinement.
       RunError: the episodes do not fit in memory, the policy became infinite, or `part` is damaged or cannot be
         written.
       Stopped: a signal stopped it after it saved.
@@ -81,7 +83,7 @@ def refine(
     program, count = trained.program, trained.program.config.seeds
     if program.agent.finds_codes:
         raise UsageError(f"agent {program.config.agent!r} finds its codes from experience; ear refine needs fixed ones")
-    family = program.family
+    family = training.family_with(program, settings.options)
     learner = PpoLearner(program.agent, family, program.tasks.params, settings.ppo)
     at_once = count * len(program.tasks) * max(episodes, learner.episodes)
     check_rollouts(program, at_once, family.episode_length, 2 * family.observation_size)
@@ -96,12 +98,13 @@ def refine(
     keep = partial(_write, part, about) if part is not None else None
     state, course = _improve(learner, settings, state, course, jax.random.split(key_learn, count), keep)
     after = play(state.policy)
-    cost = _cost(learner, settings)
-    refined = replace(trained, policies=state.policy, about=_about(trained, cost, np.array(course.before), after))
+    cost, options = _cost(learner, settings), {"options": dict(settings.options)} if settings.options else {}
+    refined = replace(trained, policies=state.policy, about=_about(trained, cost, options, course, after))
     document = {
         "run": trained.name,
         "episodes": episodes,
         **cost,
+        **options,
         "seconds": round(course.seconds, 2),
         "seeds": [_describe(trained, index, course, after) for index in range(count)],
     }
@@ -200,11 +203,14 @@ def _cost(learner: PpoLearner, settings: Refinement) -> dict[str, int]:
     return {"iterations": number, "env_steps": number * steps, "updates": number * updates}
 
 
-def _about(trained: Trained, cost: dict[str, int], before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
+def _about(
+    trained: Trained, cost: dict[str, int], options: dict[str, Any], course: Course, after: np.ndarray
+) -> dict[str, Any]:
     """Returns what a refined policy's file tells of it; the costs of earlier refinements are included."""
-    earlier = trained.about.get("refined", {})
+    earlier, before = trained.about.get("refined", {}), np.array(course.before)
     refined = {
         **{name: value + earlier.get(name, 0) for name, value in cost.items()},
+        **options,
         "from": trained.fingerprint,
         "mean_returns": [[float(one.mean()) for one in pair] for pair in zip(before, after, strict=True)],
     }

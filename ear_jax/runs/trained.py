@@ -13,7 +13,7 @@ import jax
 
 from ear_jax import pretrained
 from ear_jax.agents.networks import Params
-from ear_jax.config import from_dict
+from ear_jax.config import env_flags, from_dict
 from ear_jax.envs import FAMILIES
 from ear_jax.errors import RunError, UsageError
 from ear_jax.limits import check
@@ -180,7 +180,7 @@ def describe(trained: Trained, rows: list[dict[str, Any]]) -> str:
 def _describe_refinement(refined: dict[str, Any]) -> str:
     before, after = (sum(of_seeds) / len(of_seeds) for of_seeds in zip(*refined["mean_returns"], strict=True))
     return (
-        f"refined by PPO: {refined['env_steps']:,} env steps and "
+        f"refined by PPO{env_flags(refined.get('options', {}))}: {refined['env_steps']:,} env steps and "
         f"{refined['updates']:,} gradient steps per seed, mean return {before:.1f} before, {after:.1f} after"
     )
 

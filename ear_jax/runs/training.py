@@ -75,8 +75,7 @@ def make_program(config: Config) -> Program:
     """
     check_settings()
     check(config)
-    family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
-    family.history = config.network.history
+    family = _family(config)
     tasks = task_set([find_task(family, name) for name in config.tasks]) if config.tasks else family.training_tasks()
     method = find_method(config.agent)
     method.check(config)
@@ -91,6 +90,19 @@ def make_program(config: Config) -> Program:
     return Program(config, family, tasks, _agent(float32, family, tasks), _learner(config, family, tasks))
 
 
+def family_with(program: Program, options: Mapping[str, Any]) -> Family:
+    """Returns a program's family with some of its options changed.
+
+    Raises:
+      UsageError: the family does not have an option, or its value is out of range.
+    """
+    if not options:
+        return program.family
+    config = replace(program.config, env=replace(program.config.env, **options))
+    check(config)
+    return _family(config)
+
+
 def with_numbers(program: Program, numbers: Numbers) -> Program:
     """Returns the program with some of the learner's settings replaced by scalars."""
     if not numbers:
@@ -100,6 +112,12 @@ def with_numbers(program: Program, numbers: Numbers) -> Program:
         group, _, setting = name.partition(".")
         config = replace(config, **{group: replace(getattr(config, group), **{setting: number})})
     return replace(program, config=config, learner=_learner(config, program.family, program.tasks))
+
+
+def _family(config: Config) -> Family:
+    family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
+    family.history = config.network.history
+    return family
 
 
 def _learner(config: Config, family: Family, tasks: TaskSet) -> Learner:

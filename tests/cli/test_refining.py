@@ -32,6 +32,14 @@ def test_a_refined_policy_is_a_file_that_tells_of_it_and_can_be_played(finished,
     assert f"{file} already exists; name another file" in capsys.readouterr().err
 
 
+def test_options_that_the_family_does_not_have_or_that_are_out_of_range_are_refused(finished, tmp_path, capsys):
+    file = str(tmp_path / "refined.safetensors")
+    assert main(["refine", str(finished), file, *QUICK, "--env.lateral-weight", "1"]) == 2
+    assert "has no setting 'lateral_weight'" in capsys.readouterr().err
+    assert main(["refine", "pretrained:ant-dir", file, *QUICK, "--env.lateral-weight", "nan"]) == 2
+    assert "--env.lateral-weight nan is out of range; it must be finite" in capsys.readouterr().err
+
+
 def test_defaults_are_those_of_the_algorithm():
     assert RefineCommand.iterations == Refinement().iterations
     assert RefineCommand.iteration_episodes == Ppo.episodes

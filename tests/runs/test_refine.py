@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from ear_jax.errors import RunError, UsageError
 from ear_jax.learning.ppo import Ppo
 from ear_jax.process.stopping import Stopped
 from ear_jax.runs import refine as refining
+from ear_jax.runs import training
 from ear_jax.runs.refine import Refinement, refine
 from ear_jax.runs.trained import policy_of
 from tests.helpers.teachable import on_clock
@@ -94,6 +96,23 @@ def test_costs_of_refinements_add_up(toy):
     again = refine(one, quick, 1)[0].about["refined"]
     assert again["env_steps"] == 2 * document["env_steps"]
     assert (again["iterations"], again["from"]) == (2, one.fingerprint)
+
+
+def test_it_learns_under_other_options_and_tells_returns_under_the_runs(toy, whole, monkeypatch):
+    """The rewards that it learns from are one lower, so each of an episode's 20 steps loses one."""
+
+    def family_with(program, options):
+        assert options == {"toll": 1.0}
+        family = copy.copy(program.family)
+        vars(family)["reward"] = lambda outcome, task: program.family.reward(outcome, task) - 1
+        return family
+
+    monkeypatch.setattr(training, "family_with", family_with)
+    refined, document = refine(toy, replace(SMALL, options={"toll": 1.0}), 1, 3)
+    assert document["options"] == refined.about["refined"]["options"] == {"toll": 1.0}
+    for entry, usual in zip(document["seeds"], whole[1]["seeds"], strict=True):
+        assert entry["returns_before"] == usual["returns_before"]
+        assert entry["course"][0] == pytest.approx(usual["course"][0] - 20, abs=1e-2)
 
 
 def test_an_agent_that_finds_its_codes_is_refused(toy):

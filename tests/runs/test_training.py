@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from ear_jax.errors import RunError, UsageError
+from ear_jax.presets import preset_config
 from ear_jax.runs import checkpoint, loop, records, training
 from ear_jax.runs.leaves import named_leaves
 from ear_jax.runs.loop import compile_program, train_run
@@ -170,3 +171,10 @@ def test_a_run_trains_in_any_thread_of_a_program(tiny, run_directory):
         pool.submit(train_run, tiny, run_directory).result()
     assert records.read_rows(run_directory / "metrics.jsonl")[-1]["epoch"] == tiny.epochs
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_programs_family_can_have_other_options_and_keeps_its_own():
+    program = training.make_program(preset_config("ant-dir", "fast"))
+    other = training.family_with(program, {"lateral_weight": 0.5})
+    assert (other.lateral_weight, program.family.lateral_weight) == (0.5, 0)
+    assert training.family_with(program, {}) is program.family
