@@ -29,8 +29,6 @@ class Agent:
     distribution: Callable[[Params, jax.Array, jax.Array], Gaussian]  # policy parameters, code, obs
     critic: Critic | None  # None for a method without critics
     code_noise: float = 0.0  # σ of the noise added to a code when an update samples actions; it is then projected
-    # Code, the same with noise → the noisy code that an update uses. An equivariant agent keeps it in its own sector.
-    within: Callable[[jax.Array, jax.Array], jax.Array] = lambda code, noisy: noisy
     on_sphere: bool = False  # codes are unit vectors
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE
     # Policy parameters, obs, action → the next LSE and the step's outcomes in units of their spread, both predicted.

@@ -55,12 +55,6 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
         seen = agent.distribution(policy, turned(symmetry, variant, code), symmetry.obs.select(variant, obs))
         return Gaussian(inverse.select(variant, seen.mean), inverse.unsigned.select(variant, seen.log_std))
 
-    def within(code: jax.Array, noisy: jax.Array) -> jax.Array:
-        """Folds a noisy LTE back into its LTE's own sector: across an edge the policy acts like its mirror image."""
-        inside = turned(symmetry, nearest(symmetry, noisy), noisy)
-        back = symmetry.plane.inverse.select(nearest(symmetry, code), inside[:2])
-        return jnp.concatenate([back, inside[2:]])
-
     def canonical_input(obs: jax.Array, action: jax.Array, task: jax.Array) -> tuple[jax.Array, ...]:
         count = 0 if agent.critic_task == "lte" else len(first)
         one_hot, code = task[:count], task[count:]
@@ -78,7 +72,6 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
         agent,
         codes=codes,
         distribution=distribution,
-        within=within,
         critic=critic,
         canonical=canonical_task,
     )

@@ -23,7 +23,7 @@ def sample_policy(
     """Samples actions [n, act] and log-densities [n], each under its task's code plus noise (algorithm 1)."""
 
     def one(obs, row, noise):
-        code = agent.within(row, agent.project(row + agent.code_noise * noise.code))
+        code = agent.project(row + agent.code_noise * noise.code)
         return sample(agent.distribution(policy, code, obs), noise.action)
 
     return jax.vmap(one)(obs, rows_of_items(table, task), noise)

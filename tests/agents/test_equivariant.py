@@ -88,22 +88,6 @@ def test_ltes_of_symmetric_tasks_are_symmetric(program, policy):
     assert (angles[1:3] <= 45).all()
 
 
-def test_noise_leaves_an_lte_in_its_sector(program, policy):
-    """Noise that would cross an edge is folded back; the rest is as drawn."""
-    symmetry, agent = program.family.symmetry, program.agent
-    codes, noise = agent.codes(policy), 0.1 * jax.random.normal(jax.random.key(5), (24, 100, 3))
-    noisy = jax.vmap(jax.vmap(agent.project))(codes[:, None] + noise)
-    held = jax.jit(jax.vmap(jax.vmap(agent.within, (None, 0))))(codes, noisy)
-    variants = jax.vmap(lambda code: nearest(symmetry, code))
-    own, drawn, kept = variants(codes)[:, None], jax.vmap(variants)(noisy), jax.vmap(variants)(held)
-    inside, deep = np.all(own == drawn, axis=-1), np.abs(held[..., :2]).min(axis=-1) > 1e-3
-    diagonal = np.abs(np.abs(held[..., 0]) - np.abs(held[..., 1])) > 1e-3
-    np.testing.assert_allclose(held[inside], noisy[inside], atol=1e-6)
-    assert np.all(own == kept, axis=-1)[deep & diagonal].all()
-    assert 0.1 < np.mean(~inside) < 0.9
-    np.testing.assert_allclose(np.linalg.norm(held, axis=-1), 1, atol=1e-5)
-
-
 def test_a_value_sees_one_task_in_place_of_all_that_are_symmetric_to_it(program):
     symmetry, canonical = program.family.symmetry, jax.jit(program.agent.canonical)
     obs = jax.random.normal(jax.random.key(0), (27,))
