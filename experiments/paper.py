@@ -99,10 +99,11 @@ REFINED = "refined.safetensors"
 REFINEMENT = Analysis("refinement", "refine", writes=REFINED)
 REFINED_EVALUATION = replace(EVALUATION, name="refined-evaluation", of=REFINED)
 REFINED_INTERPOLATION = replace(INTERPOLATION, name="refined-interpolation", of=REFINED)
-# By family: an ant's returns scatter, and one episode of a task teaches those that are symmetric to it, too.
+# By family. An ant's returns scatter; one episode of a task teaches those that are symmetric to it; and without the
+# penalty on lateral speed, which the paper's text has, an ant runs aside of its direction where it is faster there.
 OPTIONS = {
     (ANT, "evaluate"): ("--episodes", "20"),
-    (ANT, "refine"): ("--iterations", "800", "--iteration-episodes", "48"),
+    (ANT, "refine"): ("--iterations", "800", "--iteration-episodes", "48", "--env.lateral-weight", "1"),
     (CHEETAH, "refine"): ("--iterations", "1000"),
 }
 REFINING = (EVALUATION, INTERPOLATION, REFINEMENT, REFINED_EVALUATION, REFINED_INTERPOLATION)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ear_jax.config import env_flags
 from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
 from ear_jax.envs import Family
 from ear_jax.envs.reach import NEAR
@@ -111,7 +112,7 @@ def variants(id: str, index: RunIndex) -> list[Block]:
 
 def refined(index: RunIndex) -> list[Block]:
     """Returns a table of our own: every family before and after `ear refine`."""
-    rows = []
+    rows, notes = [], ""
     for method in EXPERIMENTS["refined"].methods:
         runs = [run for run in index.of(method) if refinements([run])]
         found, paper = refinements(runs), paper_return(method.family, method.agent)
@@ -126,13 +127,16 @@ def refined(index: RunIndex) -> list[Block]:
             seeds(runs),
             *(steps or [MISSING]),
         )
-        rows.append([NAMES[method.family] + VARIANTS[method.variant], *cells])
+        name = NAMES[method.family] + VARIANTS[method.variant]
+        rows.append([name, *cells])
+        for options in {env_flags((run.document(REFINEMENT.name) or {}).get("options", {})) for run in runs} - {""}:
+            notes += f" {name} learns with {options.strip()}; its returns are without."
     columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "env steps of the refinement")
     caption = (
         "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "
         "that blend, before → after."
     )
-    return [Table(caption, ("family", *columns), rows)]
+    return [Table(caption + notes, ("family", *columns), rows)]
 
 
 def reach(index: RunIndex) -> list[Block]:
