@@ -18,6 +18,7 @@ from experiments.paper import (
     FAMILIES,
     GATHERED,
     REACH,
+    REFINED_INTERPOLATION,
     REFINEMENT,
     RUN_JUMP,
     TURNED,
@@ -99,10 +100,10 @@ def results(index: RunIndex) -> str:
         runs = index.runs(family, variant=variant)
         if runs:
             name, returned = NAMES[family] + VARIANTS[variant], spread([mean_return(run) for run in runs])
-            blended = [_successes(family, runs, measure).replace(" of ", "/") for measure in BLENDED]
+            blended = [_successes(family, runs, measure, refined=True).replace(" of ", "/") for measure in BLENDED]
             last = count(len(runs)), _minutes(runs).replace(" to ", "–") or MISSING
             rows.append([name, returned, refined_returns(runs), _paper_return(family), *blended, *last])
-    return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{HOW_TO_READ}"
+    return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{HOW_TO_READ} After an arrow: refined."
 
 
 HOW_TO_READ = (
@@ -187,9 +188,11 @@ def _time(runs: Sequence[Run]) -> str:
     return f": {_minutes(runs)} minutes a seed on {'one CPU core' if cores == {1} else 'a CPU'}"
 
 
-def _successes(family: str, runs: list[Run], measure: str) -> str:
+def _successes(family: str, runs: list[Run], measure: str, refined: bool = False) -> str:
     counted, theirs = successes(runs, measure), paper_counts(family, measure)
-    return (str(counted) if counted else MISSING) + (f" ({printed(theirs)})" if theirs else "")
+    after = successes(runs, measure, REFINED_INTERPOLATION.name) if refined else None
+    shown = (str(counted) if counted else MISSING) + (f" → {after}" if after else "")
+    return shown + (f" ({printed(theirs)})" if theirs else "")
 
 
 def _error_from_map(family: str, runs: list[Run]) -> str:

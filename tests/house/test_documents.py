@@ -15,7 +15,7 @@ from benchmarks import common, recipe, scale
 from ear_jax.runs import records
 from experiments.inventory import RECORDS
 from experiments.report import documents, measures, readme
-from experiments.report.formatting import NAMES, count, number
+from experiments.report.formatting import NAMES, count, number, spread
 from experiments.report.run_index import Run, RunIndex
 from tests.embeddings.test_twenty_rewards import reaches
 from tests.helpers.tolerances import MJX_TOLERANCES
@@ -132,10 +132,10 @@ def said_of_the_gathered() -> list[str]:
     ]
 
 
-def aside(run: Run, angle: int) -> float:
+def aside(run: Run, angle: int, evaluation: str = "evaluation") -> float:
     """Returns the degrees by which an ant runs aside, the mean over the tasks symmetric to one from 0 to 45°."""
     found = []
-    for task in json.loads((run.directory / "evaluation.json").read_text())["seeds"][0]["tasks"]:
+    for task in json.loads((run.directory / f"{evaluation}.json").read_text())["seeds"][0]["tasks"]:
         quarter = task["target"] % 90
         if min(quarter, 90 - quarter) == angle:
             off = (np.array(task["episodes"]["direction"]) - task["target"] + 180) % 360 - 180
@@ -202,8 +202,27 @@ def refined_ants() -> list[dict[str, Any]]:
 
 def said_of_the_refined_ant() -> list[str]:
     """The returns of the equivariant ants before and after."""
-    before, after = (" and ".join(number(entry[when], 0) for entry in refined_ants()) for when in ("before", "after"))
-    return [f"its seeds return {after}, and {before} before"]
+    before, after = ([number(entry[when], 0) for entry in refined_ants()] for when in ("before", "after"))
+    return ["its seeds return {}, {} and {}, and {}, {} and {} before".format(*after, *before)]
+
+
+def said_of_the_penalty() -> list[str]:
+    """The equivariant ants before and after they were refined with a penalty on lateral speed, in a table's rows."""
+    runs, means = RunIndex("fast").runs("ant-dir", variant="+equivariant"), []
+    asides = [[aside(run, 0, f"{when}evaluation") for run in runs] for when in ("", "refined-")]
+    counts = {
+        what: [str(measures.successes(runs, what, f"{when}interpolation")) for when in ("", "refined-")]
+        for what in ("mid_task", "fresh", "one_to_one")
+    }
+    for when in ("before", "after"):
+        means.append(spread([entry[when] for entry in refined_ants()]))
+    return [
+        "aside of an axis | " + " | ".join("{:.0f}, {:.0f} and {:.0f}°".format(*each) for each in asides),
+        "meet the direction midway | " + " | ".join(counts["mid_task"]),
+        "in the mean of 10 fresh episodes | " + " | ".join(counts["fresh"]),
+        "blends that lie between | " + " | ".join(counts["one_to_one"]),
+        "return, without the penalty | " + " | ".join(means),
+    ]
 
 
 def said_of_gains() -> list[str]:
@@ -212,7 +231,7 @@ def said_of_gains() -> list[str]:
         [entry["after"] - entry["before"] for entry in entries]
         for entries in (measures.refinements(RunIndex("fast").runs("halfcheetah-vel")), refined_ants())
     )
-    told = " and ".join(number(gain, 0) for gain in ants)
+    told = f"{number(min(ants), 0)} to {number(max(ants), 0)}"
     return [f"the cheetah gains {number(float(np.mean(cheetahs)), 0)}, the equivariant ant {told}"]
 
 
@@ -350,6 +369,7 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_refining, "docs/refining.md"),
         (said_of_gains, "docs/fast.md"),
         (said_of_the_refined_ant, "docs/refining.md"),
+        (said_of_the_penalty, "docs/refining.md"),
         (said_of_a_gpu, "docs/training.md"),
     ],
 )
