@@ -306,6 +306,21 @@ def said_of_half_runs() -> list[str]:
     ]
 
 
+def said_of_second_families() -> list[str]:
+    """Rows of `docs/trials.md` on trials on a CPU: returns at the last updates that `fast` was evaluated at, too."""
+
+    def row(family: str, name: str, beside: str) -> str:
+        own, usual = (dict(_returns(_trial(family, one))) for one in (name, beside))
+        updates = max(set(own) & set(usual))
+        return f"{number(own[updates], 0)} after {count(updates)} (: {number(usual[updates], 0)})"
+
+    critics, norm = "… residual categorical critics (BRC), seed", "… BatchNorm, bins, held noise (XQC, FlashSAC), seed"
+    return [
+        "| walker | " + " | ".join(row("walker-vel", f"{critics} {seed}", f"fast, seed {seed}") for seed in (0, 1)),
+        "| cheetah | " + row("halfcheetah-vel", f"{norm} 0", "replay of 200,000, lr falling: fast"),
+    ]
+
+
 def said_of_a_gpu() -> list[str]:
     """Words of `docs/training.md` about updates on a GPU."""
     rows = [row for row in records.read_rows(common.RESULTS / "gpu.jsonl") if row["what"] == "update"]
@@ -365,6 +380,7 @@ def test_readme_and_results_say_what_the_records_say():
         (said_of_the_gathered, "docs/trials.md"),
         (said_of_the_long_run, "docs/trials.md"),
         (said_of_half_runs, "docs/trials.md"),
+        (said_of_second_families, "docs/trials.md"),
         (said_of_refining, "docs/trials.md"),
         (said_of_refining, "docs/refining.md"),
         (said_of_gains, "docs/fast.md"),
@@ -403,6 +419,7 @@ def test_nothing_that_looks_measured_stands_unchecked(path):
         *said_of_commands(),
         *said_of_courses(),
         *said_of_half_runs(),
+        *said_of_second_families(),
         *said_of_refining(),
         *said_of_a_gpu(),
         *GIVEN,
