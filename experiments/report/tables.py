@@ -118,7 +118,8 @@ def refined(index: RunIndex) -> list[Block]:
         found, paper = refinements(runs), paper_return(method.family, method.agent)
         before = spread([entry["before"] for entry in found]) if found else MISSING
         blended = [" → ".join(str(successes(runs, measure, of) or MISSING) for of in BLENDS) for measure in MEASURES]
-        steps = [count(run.document(REFINEMENT.name)["env_steps"]) for run in runs[:1]]
+        told = [run.document(REFINEMENT.name) for run in runs]
+        steps = [count(one["env_steps"]) for one in told[:1]]
         cells = (
             before,
             refined_returns(runs),
@@ -129,8 +130,8 @@ def refined(index: RunIndex) -> list[Block]:
         )
         name = NAMES[method.family] + VARIANTS[method.variant]
         rows.append([name, *cells])
-        for options in {env_flags((run.document(REFINEMENT.name) or {}).get("options", {})) for run in runs} - {""}:
-            notes += f" {name} learns with {options.strip()}; its returns are without."
+        if options := next((one["options"] for one in told if "options" in one), {}):
+            notes += f" {name} learns with{env_flags(options)}; its returns are without."
     columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "env steps of the refinement")
     caption = (
         "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import json
-import math
 import re
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from benchmarks import common, recipe, scale
 from ear_jax.runs import records
-from experiments.inventory import RECORDS
-from experiments.report import documents, measures, readme
-from experiments.report.formatting import NAMES, count, number, spread
-from experiments.report.run_index import Run, RunIndex
-from tests.embeddings.test_twenty_rewards import reaches
+from experiments.report import documents, readme
+from experiments.report.formatting import NAMES
+from experiments.report.run_index import RunIndex
+from tests.helpers import said
 from tests.helpers.tolerances import MJX_TOLERANCES
 
 ROOT = Path(__file__).parents[2]
-CHEETAH = RECORDS / "halfcheetah-vel-ear-fast-seed0"
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 # A number that looks measured: with a unit of time, a share, a ratio, or negative as returns are.
 MEASURED = re.compile(r"−\d[\d.,]*|\d[\d.,]* ?(?:s|seconds?|min|minutes?|hours?|ms|%|times)\b")
@@ -44,325 +38,6 @@ def plain(path: Path) -> str:
     return " ".join(text.split())
 
 
-def said_of_the_cheetah() -> list[str]:
-    """Words of `docs/results.md` about the run whose figures it shows."""
-    rows = records.read_rows(CHEETAH / "metrics.jsonl")
-
-    def passed(level: float) -> int:
-        return round(next(row["seconds"] for row in rows if row["mean_return"] >= level) / 60)
-
-    evaluated = json.loads((CHEETAH / "evaluation.json").read_text())["mean_return"]
-    last = rows[-1]["seconds"] / 60
-    return [
-        f"past −250 in {passed(-250)} minutes, past −200 in {passed(-200)}, {number(evaluated, 0)} in {last:.0f}",
-        f"{last:.0f} minutes on one CPU core",
-    ]
-
-
-def said_of_the_long_run() -> list[str]:
-    """The gain of twice the length for the cheetah, in the words of `docs/trials.md`."""
-    usual, long = (
-        [one["mean_return"] for one in json.loads((RECORDS / name / "evaluation.json").read_text())["seeds"]]
-        for name in ("halfcheetah-vel-ear-fast-seeds0-4", "halfcheetah-vel-ear-fast-760-epochs-seeds0-4")
-    )
-    assert len(usual) == len(long) == 5
-    return [
-        f"five seeds return {number(sum(long) / 5)} on average, and {number(sum(usual) / 5)} otherwise",
-        f"the best of them reaches {number(max(long))}",
-    ]
-
-
-def said_of_the_ant() -> list[str]:
-    """Its returns, speeds in m/s and episodes that end early, in the words of `docs/fast.md`."""
-    returns, speeds, early = ants(*(f"fast-seed{seed}" for seed in range(3)))
-    wide, wide_speeds, wide_early = ants(*(f"fast+wide-seed{seed}" for seed in range(3)))
-    (half_as_long,), *_ = ants("fast-width-512-seed1")
-    turned, *_ = ants(*(f"fast+equivariant-seed{seed}" for seed in range(3)))
-    (low, high), (wide_low, wide_high) = (sorted(values, key=int)[::2] for values in (returns, wide))
-    return [
-        f"ant: {wide_low} to {wide_high} instead of {low} to {high}",
-        f"Its seeds return {returns[0]}, {returns[1]} and {returns[2]}",
-        f"at {speeds}",
-        f"{early} episodes end early",
-        f"its seeds return {wide[0]}, {wide[1]} and {wide[2]}, at {wide_speeds}",
-        f"and {wide_early} episodes end early",
-        f"seed 1 returns {half_as_long}",
-        f"{min(turned)} to {max(turned)} after half the updates",
-        f"three seeds return {turned[0]}, {turned[1]} and {turned[2]}",
-    ]
-
-
-def said_of_the_wide() -> list[str]:
-    """Words on the hopper and the walker, twice as wide and as in `fast`."""
-    found = RunIndex("fast")
-    (wide_hopper,), (wide_walker,) = (found.runs(family, variant="+wide") for family in ("hopper-vel", "walker-vel"))
-    hoppers, walkers = (list(map(measures.mean_return, found.runs(one))) for one in ("hopper-vel", "walker-vel"))
-    assert len(hoppers) == len(walkers) == 3
-    wide = " and ".join(number(measures.mean_return(run)) for run in (wide_hopper, wide_walker))
-    usual = " and ".join(number(float(np.mean(returns))) for returns in (hoppers, walkers))
-    return [f"The first wide seeds of hopper and walker return {wide}, the three seeds of {usual} on average"]
-
-
-def said_of_the_ring() -> list[str]:
-    """The angles between embeddings of the ant's neighbouring directions, and their effect on blends."""
-    found = RunIndex("fast")
-    *even, broken = map(measures.gaps, found.runs("ant-dir", variant="+wide"))
-    blends = json.loads((RECORDS / "ant-dir-ear-fast+wide-seed2" / "interpolation.json").read_text())["one_to_one"]
-    assert [int(np.sum(measures.gaps(run) > 30)) for run in found.runs("ant-dir")] == [0, 5, 0]
-    return [
-        f"are {np.min(even):.0f} to {np.max(even):.0f}° apart in wide seeds 0 and 1",
-        f"In seed 2 they are {min(broken):.0f} to {max(broken):.0f}° apart",
-        f"lies between only {blends['success']} of its {blends['total']} neighbours",
-    ]
-
-
-def said_of_the_gathered() -> list[str]:
-    """Words on the hopper's seed 0, with LTEs gathered at the start and without."""
-    gathered, usual = (RunIndex("fast").runs("hopper-vel", variant=variant)[0] for variant in ("+gathered", ""))
-    assert gathered.seed == usual.seed == 0
-    gaps, pairs = [], []
-    for run in (gathered, usual):
-        gaps.append(f"{max(measures.gaps(run)):.0f}°")
-        pairs.append([measures.successes([run], what) for what in ("mid_task", "one_to_one")])
-    return [
-        f"the widest gap is {gaps[0]} instead of {gaps[1]}",
-        "the return {} instead of {}".format(*(number(measures.mean_return(run)) for run in (gathered, usual))),
-        f"pairs, {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
-        f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
-    ]
-
-
-def aside(run: Run, angle: int, evaluation: str = "evaluation") -> float:
-    """Returns the degrees by which an ant runs aside, the mean over the tasks symmetric to one from 0 to 45°."""
-    found = []
-    for task in json.loads((run.directory / f"{evaluation}.json").read_text())["seeds"][0]["tasks"]:
-        quarter = task["target"] % 90
-        if min(quarter, 90 - quarter) == angle:
-            off = (np.array(task["episodes"]["direction"]) - task["target"] + 180) % 360 - 180
-            found.append(np.mean(off) * (1 if quarter <= 45 else -1))
-    return float(np.mean(found))
-
-
-def said_of_the_turned() -> list[str]:
-    """Words on the equivariant ants, their blends, and the trials that would have mended them."""
-    runs = RunIndex("fast").runs("ant-dir", variant="+equivariant")
-    beside = [measures.gaps(run)[0] for run in runs]
-    midway = [met.number for run in runs if (met := measures.successes([run], "mid_task"))]
-    axes, next_to_it = ([angle + aside(run, angle) for run in runs] for angle in (0, 15))
-    trials = {row["trial"].removeprefix("… equivariant, "): dict(_returns(row)) for row in _trials("ant-dir")}
-    penalised = [trials[f"lateral speed costs {one}"][20_000] for one in ("1, seed 2", "½, seed 0")]
-    without = [trials[one][20_000] for one in ("noise stays in the sector, seed 2", "half as long, seed 0")]
-    directions = max(_returns(_trial("ant-dir", "… equivariant, LTEs start at their directions, seed 0")))[1]
-    return [
-        "seeds 0, 1 and 2 run {:.0f}, {:.0f} and {:.0f}° aside".format(*axes),
-        f"that of 15° at {min(next_to_it):.0f} to {max(next_to_it):.0f}°",
-        "{}, {} and {} of the seeds' 24 pairs meet the direction midway".format(*midway),
-        f"seed 2 returns {number(penalised[0], 0)} after 20,000 updates ({number(without[0], 0)} without)",
-        f"seed 0 returns {number(penalised[1], 0)} ({number(without[1], 0)} without)",
-        f"those of 0 and 15° are {min(beside):.0f} to {max(beside):.0f}° from each other",
-        f"it returned {number(directions, 0)}",
-    ]
-
-
-def _trials(family: str) -> list[dict[str, Any]]:
-    return [row for row in records.read_rows(common.RESULTS / "recipe.jsonl") if row["family"] == family]
-
-
-def _trial(family: str, name: str) -> dict[str, Any]:
-    return next(row for row in _trials(family) if row["trial"] == name)
-
-
-def _returns(row: dict[str, Any]) -> list[tuple[int, float]]:
-    """Returns a trial's updates and returns."""
-    return [(point[0], point[3]) for point in row["curve"]]
-
-
-def ants(*names: str) -> tuple[list[str], str, str]:
-    """Returns of recorded runs of the ant: each run's return, the range of speeds and the share of early ends."""
-    returns, speeds, lengths = [], [], []
-    for name in names:
-        found = json.loads((RECORDS / f"ant-dir-ear-{name}" / "evaluation.json").read_text())
-        returns.append(number(found["mean_return"], 0))
-        for task in found["seeds"][0]["tasks"]:
-            speeds.append(math.hypot(task["outcome"]["velocity_x"], task["outcome"]["velocity_y"]))
-            lengths += task["episodes"]["length"]
-    early = sum(length < 200 for length in lengths)
-    return returns, f"{min(speeds):.1f} to {max(speeds):.1f} m/s", f"{early} of {count(len(lengths))}"
-
-
-def said_of_refining() -> list[str]:
-    """The returns of the refined cheetahs."""
-    *most, last = (number(one["after"]) for one in measures.refinements(RunIndex("fast").runs("halfcheetah-vel")))
-    return [f"the seeds return {', '.join(most)} and {last}"]
-
-
-def refined_ants() -> list[dict[str, Any]]:
-    return measures.refinements(RunIndex("fast").runs("ant-dir", variant="+equivariant"))
-
-
-def said_of_the_refined_ant() -> list[str]:
-    """The returns of the equivariant ants before and after."""
-    before, after = ([number(entry[when], 0) for entry in refined_ants()] for when in ("before", "after"))
-    return ["its seeds return {}, {} and {}, and {}, {} and {} before".format(*after, *before)]
-
-
-def said_of_the_penalty() -> list[str]:
-    """The equivariant ants before and after they were refined with a penalty on lateral speed, in a table's rows."""
-    runs, means = RunIndex("fast").runs("ant-dir", variant="+equivariant"), []
-    asides = [[aside(run, 0, f"{when}evaluation") for run in runs] for when in ("", "refined-")]
-    counts = {
-        what: [str(measures.successes(runs, what, f"{when}interpolation")) for when in ("", "refined-")]
-        for what in ("mid_task", "fresh", "one_to_one")
-    }
-    for when in ("before", "after"):
-        means.append(spread([entry[when] for entry in refined_ants()]))
-    return [
-        "aside of an axis | " + " | ".join("{:.0f}, {:.0f} and {:.0f}°".format(*each) for each in asides),
-        "meet the direction midway | " + " | ".join(counts["mid_task"]),
-        "in the mean of 10 fresh episodes | " + " | ".join(counts["fresh"]),
-        "blends that lie between | " + " | ".join(counts["one_to_one"]),
-        "return, without the penalty | " + " | ".join(means),
-    ]
-
-
-def said_of_gains() -> list[str]:
-    """The gains of refining, in the words of `docs/fast.md`."""
-    cheetahs, ants = (
-        [entry["after"] - entry["before"] for entry in entries]
-        for entries in (measures.refinements(RunIndex("fast").runs("halfcheetah-vel")), refined_ants())
-    )
-    told = f"{number(min(ants), 0)} to {number(max(ants), 0)}"
-    return [f"the cheetah gains {number(float(np.mean(cheetahs)), 0)}, the equivariant ant {told}"]
-
-
-def said_of_commands() -> list[str]:
-    """Words of `docs/results.md` about how long commands take."""
-    rows: dict[str, dict[str, Any]] = {
-        row["command"]: row for row in records.read_rows(common.RESULTS / "adaptation.jsonl") if not row["quick"]
-    }
-    return [
-        f"99 each, in {rows['interpolate']['seconds']:.0f} seconds",
-        f"2,000 LTEs rolled out in {rows['map']['seconds']:.0f} seconds",
-    ]
-
-
-def said_of_rewards() -> list[str]:
-    """Words of `docs/asking-for-behaviour.md` about the answers to twenty rewards."""
-    rows = [row for row in records.read_rows(common.RESULTS / "rewards.jsonl") if not row["quick"]]
-    returns = {(row["reward"], row["way"]): row["return"] for row in rows}
-    searched = {reward: value for (reward, way), value in returns.items() if way == "search"}
-    steps = sum({row["reward"]: row["env_steps"] / row["at_once"] for row in rows if row["way"] == "search"}.values())
-
-    def met(way: str, shortfall: float) -> str:
-        reached = [reaches(returns[reward, way], value, shortfall) for reward, value in searched.items()]
-        return f"{sum(reached)} of {len(reached)}"
-
-    return [
-        f"for {met('map', 0.05)} the survey's answer returned at most 5 % less than the search's",
-        f"for {met('map', 0)} at least as much",
-        f"The searches took {steps:,.0f} env steps",
-        f"at most 10 % less than the search's for {met('imagined', 0.1)}",
-    ]
-
-
-def said_of_half_runs() -> list[str]:
-    """Words of `docs/trials.md` on half runs on a GPU; where a trial stopped short, its updates follow its return."""
-    rows = records.read_rows(common.RESULTS / "recipe.jsonl")
-    curves = {(row["family"], row["trial"]): row["curve"] for row in rows}
-    base, critics = "half as long, two seeds", "… residual categorical critics (BRC), the "
-    wide = "… width 512, batch 1,920, the policy from half, bfloat16"
-    narrow = "… bfloat16, seed 1"
-
-    def reached(trial: str, family: str = "halfcheetah-vel") -> str:
-        return number(curves[family, trial][-1][3], 0)
-
-    def alone(updates: int) -> str:
-        """The return of five seeds of `fast` on the way of a whole run."""
-        return number({point[0]: point[3] for point in curves["halfcheetah-vel", "fast, five seeds"]}[updates], 0)
-
-    def took(trial: str) -> str:
-        return f"{curves['halfcheetah-vel', trial][-1][2]} s"
-
-    def at(updates: int) -> str:
-        """The ant's return under `fast` itself."""
-        return number({point[0]: point[3] for point in curves["ant-dir", base]}[updates], 0)
-
-    def both(trial: str) -> str:
-        return f"{reached(trial)} | {reached(trial, 'ant-dir')} at {count(curves['ant-dir', trial][-1][0])}"
-
-    return [
-        f"itself ends at {reached(base)} (cheetah)",
-        f"{reached(critics + 'lesser')}, with the mean of the critics {reached(critics + 'mean')}",
-        f"| {reached(critics + 'lesser', 'ant-dir')} at 22,800 (: {at(22_800)}) |",
-        f"a quarter of it | {reached('… batch 1,920, the policy from a quarter')} |",
-        f"weight decay 0.01 | {both('… weight decay')} (: {at(45_600)})",
-        f"outcomes | {both('… predictive φ')}",
-        f"both | {both('… weight decay, predictive φ')}",
-        f"bfloat16 | | {reached(wide, 'ant-dir')} at 76,000 (width alone, one seed: {reached(narrow, 'ant-dir')})",
-        f"far behind: {reached('… BatchNorm, bins, held noise (XQC, FlashSAC)', 'ant-dir')} at 30,400 (: {at(30_400)})",
-        f"four such runs took {took(critics + 'lesser')} and eight of {took(base)}",
-        f"at {alone(72_000)} after 72,000 updates and at {alone(80_000)} after 80,000",
-        f"in a whole one ({reached('fast, five seeds')})",
-    ]
-
-
-def said_of_second_families() -> list[str]:
-    """Rows of `docs/trials.md` on trials on a CPU: returns at the last updates that `fast` was evaluated at, too."""
-
-    def row(family: str, name: str, beside: str) -> str:
-        own, usual = (dict(_returns(_trial(family, one))) for one in (name, beside))
-        updates = max(set(own) & set(usual))
-        return f"{number(own[updates], 0)} after {count(updates)} (: {number(usual[updates], 0)})"
-
-    critics, norm = "… residual categorical critics (BRC), seed", "… BatchNorm, bins, held noise (XQC, FlashSAC), seed"
-    return [
-        "| walker | " + " | ".join(row("walker-vel", f"{critics} {seed}", f"fast, seed {seed}") for seed in (0, 1)),
-        "| cheetah | "
-        + " | ".join(
-            row("halfcheetah-vel", f"{norm} {seed}", beside)
-            for seed, beside in enumerate(("replay of 200,000, lr falling: fast", "fast, seed 1"))
-        ),
-    ]
-
-
-def said_of_a_gpu() -> list[str]:
-    """Words of `docs/training.md` about updates on a GPU."""
-    rows = [row for row in records.read_rows(common.RESULTS / "gpu.jsonl") if row["what"] == "update"]
-    times = {(row["kernels"], row["seeds"], row["precision"]): row["update_ms"] for row in rows}
-
-    def took(kernels: str, seeds: int, digits: int, precision: str = "TF32") -> str:
-        return f"{number(times[kernels, seeds, precision], digits)} ms"
-
-    rounded = took("fused", 5, 2, "bfloat16")
-    return [
-        f"takes {took('xla', 5, 2)} at 5 seeds and {took('xla', 16, 2)} at 16",
-        f"took {took('fused', 5, 1)} at 5 seeds ({rounded} in bfloat16) and {took('fused', 16, 1)} at 16",
-    ]
-
-
-def said_of_courses() -> list[str]:
-    """Words of `docs/asking-for-behaviour.md` about profiles and the ant's square."""
-    rows = [row for row in records.read_rows(common.RESULTS / "following.jsonl") if not row["quick"]]
-    newest = {(row["course"], row["way"]): row for row in rows}
-    profiles = [row for row in newest.values() if row["unit"] == "m/s"]
-    spline, look_up = (
-        [f"{row['error']:.2f}" for row in profiles if row["way"] == way] for way in ("spline", "look-up")
-    )
-    (pursuit,) = (row for row in newest.values() if row["way"] == "pursuit")
-    open_loop, by_spline = (newest[pursuit["course"], way]["error"] for way in ("look-up", "spline"))
-    seconds = [row[name] for row in profiles for name in ("first_seconds", "seconds")]
-    return [
-        f"after the first second was {spline[0]}, {spline[1]} and {spline[2]} m/s on three profiles",
-        f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
-        f"Without a film the command took {min(seconds):.0f} to {max(seconds):.0f} s on two cores",
-        f"from {sum(error <= 1 for error in pursuit['errors'])} of {len(pursuit['errors'])} fresh starts",
-        f"from the other it missed one by {max(pursuit['errors']):.1f} m",
-        f"it turned wide, up to {max(pursuit['aside']):.1f} m from the path",
-        f"missed a way-point by {open_loop:.1f} m by look-up",
-        f"by {by_spline:.1f} m along a spline",
-    ]
-
-
 def test_readme_and_results_say_what_the_records_say():
     found = RunIndex("fast")
     assert documents.read(readme.README, readme.HEADLINE) == readme.headline(found)
@@ -371,30 +46,30 @@ def test_readme_and_results_say_what_the_records_say():
 
 
 @pytest.mark.parametrize(
-    ("said", "document"),
+    ("measured", "document"),
     [
-        (said_of_the_cheetah, "docs/results.md"),
-        (said_of_commands, "docs/results.md"),
-        (said_of_rewards, "docs/asking-for-behaviour.md"),
-        (said_of_courses, "docs/asking-for-behaviour.md"),
-        (said_of_the_ant, "docs/fast.md"),
-        (said_of_the_turned, "docs/fast.md"),
-        (said_of_the_wide, "docs/fast.md"),
-        (said_of_the_ring, "docs/trials.md"),
-        (said_of_the_gathered, "docs/trials.md"),
-        (said_of_the_long_run, "docs/trials.md"),
-        (said_of_half_runs, "docs/trials.md"),
-        (said_of_second_families, "docs/trials.md"),
-        (said_of_refining, "docs/trials.md"),
-        (said_of_refining, "docs/refining.md"),
-        (said_of_gains, "docs/fast.md"),
-        (said_of_the_refined_ant, "docs/refining.md"),
-        (said_of_the_penalty, "docs/refining.md"),
-        (said_of_a_gpu, "docs/training.md"),
+        (said.of_the_cheetah, "docs/results.md"),
+        (said.of_commands, "docs/results.md"),
+        (said.of_rewards, "docs/asking-for-behaviour.md"),
+        (said.of_courses, "docs/asking-for-behaviour.md"),
+        (said.of_the_ant, "docs/fast.md"),
+        (said.of_the_turned, "docs/fast.md"),
+        (said.of_the_wide, "docs/fast.md"),
+        (said.of_the_ring, "docs/trials.md"),
+        (said.of_the_gathered, "docs/trials.md"),
+        (said.of_the_long_run, "docs/trials.md"),
+        (said.of_half_runs, "docs/trials.md"),
+        (said.of_second_families, "docs/trials.md"),
+        (said.of_refining, "docs/trials.md"),
+        (said.of_refining, "docs/refining.md"),
+        (said.of_gains, "docs/fast.md"),
+        (said.of_the_refined_ant, "docs/refining.md"),
+        (said.of_the_penalty, "docs/refining.md"),
+        (said.of_a_gpu, "docs/training.md"),
     ],
 )
-def test_documents_say_of_runs_and_commands_what_was_measured(said, document):
-    for words in said():
+def test_documents_say_of_runs_and_commands_what_was_measured(measured, document):
+    for words in measured():
         assert words in plain(ROOT / document)
 
 
@@ -418,14 +93,14 @@ def test_the_error_of_mjx_is_said_to_be_what_its_test_allows():
 def test_nothing_that_looks_measured_stands_unchecked(path):
     text = plain(path)
     for words in (
-        *said_of_the_cheetah(),
-        *said_of_the_long_run(),
-        *said_of_commands(),
-        *said_of_courses(),
-        *said_of_half_runs(),
-        *said_of_second_families(),
-        *said_of_refining(),
-        *said_of_a_gpu(),
+        *said.of_the_cheetah(),
+        *said.of_the_long_run(),
+        *said.of_commands(),
+        *said.of_courses(),
+        *said.of_half_runs(),
+        *said.of_second_families(),
+        *said.of_refining(),
+        *said.of_a_gpu(),
         *GIVEN,
     ):
         text = text.replace(words, "")
