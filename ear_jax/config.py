@@ -207,6 +207,10 @@ class Config:
     """Total minutes of wall time, including those before a continuation; the run stops after that block."""
     tasks: Annotated[tuple[str, ...], _given("[TASK ...]", "the paper's")] = ()
     """Training tasks by name, such as 2 or vel-2; the paper's by default."""
+    task_count: Annotated[int | None, _given("INT", "the paper's tasks")] = None
+    """Number of training tasks, spread evenly over the family's range, unless --tasks names them."""
+    meta_batch: Annotated[int | None, _given("INT", "all")] = None
+    """Tasks that an update of pearl or maml learns from; if there are more, they are drawn anew for each."""
     env: EnvConfig = field(default_factory=EnvConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     sac: SacConfig = field(default_factory=SacConfig)
@@ -289,12 +293,3 @@ def flag(name: str) -> str:
 def env_flags(options: Mapping[str, Any]) -> str:
     """Returns options of a family as on the command line, each after a space."""
     return "".join(f" {flag(f'env.{name}')} {value}" for name, value in options.items())
-
-
-def words_of(config: Config) -> list[str]:
-    """Returns the words that name every setting on the command line, the family first."""
-    words = [config.family]
-    for name, value in flat(config).items():
-        if name != "family" and value not in (None, ()):
-            words += [flag(name), *map(str, value if isinstance(value, tuple) else (value,))]
-    return words

@@ -38,6 +38,8 @@ def check(config: Config) -> None:
             raise UsageError(f"{flag(name)} {settings[name]} is out of range; it must be from 0 to 1")
     if len(config.tasks) > MAX_TASKS:
         raise UsageError(f"--tasks names {len(config.tasks)} tasks; there may be at most {MAX_TASKS}")
+    if config.task_count and config.task_count > MAX_TASKS:
+        raise UsageError(f"--task-count {config.task_count} is too large; it must be at most {MAX_TASKS}")
 
 
 def _check_count(name: str, value: int) -> None:
@@ -51,6 +53,8 @@ _MINIMA: dict[str, int] = {
     "seeds": 1,
     "epochs": 1,
     "minutes": 0,
+    "task_count": 1,
+    "meta_batch": 1,
     **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},
     **{f"network.{name}_layers": 0 for name in ("encoder", "decoder", "critic", "task")},
     **{f"network.critic_{name}": 0 for name in ("blocks", "bins")},

@@ -79,6 +79,8 @@ def check_effect(config: Config) -> None:
     for name, value in flat(config).items():
         if value != preset[name] and not method.reads(name):
             raise UsageError(f"{flag(name)} {value} would change nothing: agent {config.agent!r} has no use for it")
+    if config.tasks and config.task_count != preset["task_count"]:
+        raise UsageError(f"--task-count {config.task_count} would change nothing: the tasks are named")
 
 
 def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
@@ -99,6 +101,7 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
     method = find_method(agent)
     changes = _merge(PRESETS[base], family_presets(family).get(base, {}))
     changes = _merge(changes, method.presets.get(base, {}))
+    changes = _merge(changes, method.families.get(base, {}).get(family, {}))
     for variant in variants:
         for name in flat_tree(VARIANTS[variant]):
             if not method.reads(name):

@@ -14,7 +14,7 @@ import tyro
 from ear_jax.cli import train
 from ear_jax.cli.arguments import check_least, option
 from ear_jax.cli.results import keep, print_table, show_and_keep
-from ear_jax.config import Config, flag, flat, run_name, words_of
+from ear_jax.config import Config, flag, flat, run_name
 from ear_jax.errors import UsageError, unknown
 from ear_jax.limits import check
 from ear_jax.presets import check_effect
@@ -212,3 +212,12 @@ def _numbers(trial: dict[str, Any]) -> list[str]:
         f"{updates:,}",
         f"{seconds / 60:.1f}",
     ]
+
+
+def words_of(config: Config) -> list[str]:
+    """Returns the words that name every setting on the command line, the family first."""
+    words = [config.family]
+    for name, value in flat(config).items():
+        if name != "family" and value not in (None, ()):
+            words += [flag(name), *map(str, value if isinstance(value, tuple) else (value,))]
+    return words

@@ -28,6 +28,10 @@ class AngleFamily(Family):
     def training_tasks(self) -> TaskSet:
         return task_set([self.at(angle) for angle in range(0, 360, self.spacing)])
 
+    def spread_tasks(self, count: int) -> TaskSet:
+        """Returns tasks at equal angles around the circle, from 0."""
+        return task_set([self.at(round(360 * step / count, 6)) for step in range(count)])
+
     def adaptation_tasks(self, seed: int) -> TaskSet:
         rng = np.random.default_rng(seed)
         angles = rng.choice(360, size=self.unseen, replace=False)

@@ -84,6 +84,14 @@ class Family(Env):
     def training_tasks(self) -> TaskSet:
         """Returns the paper's training tasks, in the order of their one-hots."""
 
+    def spread_tasks(self, count: int) -> TaskSet:
+        """Returns `count` training tasks spread evenly over the paper's range; by default a family has none.
+
+        Raises:
+          UsageError: the family has no range.
+        """
+        raise UsageError(f"{self.name} has no range to spread {count} tasks over; name them with --tasks")
+
     def adaptation_tasks(self, seed: int) -> TaskSet:
         """Returns tasks not trained on, drawn from a seed; none by default."""
         return TaskSet(())

@@ -27,6 +27,10 @@ class VelocityFamily(Family):
     def training_tasks(self) -> TaskSet:
         return task_set([velocity_task(speed) for speed in self.speeds])
 
+    def spread_tasks(self, count: int) -> TaskSet:
+        """Returns tasks at equal steps from standing, which is left out, to the largest speed."""
+        return task_set([velocity_task(self.speeds[-1] * step / count) for step in range(1, count + 1)])
+
     def adaptation_tasks(self, seed: int) -> TaskSet:
         speeds = np.random.default_rng(seed).uniform(*self.adaptation_range, size=3)
         return task_set([velocity_task(float(speed)) for speed in speeds])

@@ -20,13 +20,27 @@ from ear_jax.process.target import on_accelerator
 from ear_jax.tasks import TaskParams, task_count
 
 
+def drawn_tasks(config: Config, tasks: int) -> int:
+    """Returns the number of tasks that an update learns from, which is all unless there are more than `meta_batch`."""
+    return min(config.meta_batch or tasks, tasks)
+
+
+def draw_tasks(config: Config, tasks: int, key: jax.Array) -> jax.Array:
+    """Draws the tasks of one update without replacement, int32 [drawn]; if they are all, in order."""
+    drawn = drawn_tasks(config, tasks)
+    if drawn == tasks:
+        return jnp.arange(tasks)
+    return jax.random.choice(key, tasks, (drawn,), replace=False)
+
+
 def check_batch(config: Config, tasks: int) -> None:
-    """Raises UsageError for a batch that is not divisible by the tasks or a replay below one epoch."""
-    if config.sac.batch_size % tasks:
-        lower = max(1, config.sac.batch_size // tasks) * tasks
+    """Raises UsageError for a batch that is not divisible by its tasks or a replay below one epoch."""
+    drawn = drawn_tasks(config, tasks)
+    if config.sac.batch_size % drawn:
+        lower = max(1, config.sac.batch_size // drawn) * drawn
         raise UsageError(
-            f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {tasks} tasks; "
-            f"try {lower} or {lower + tasks}"
+            f"--sac.batch-size {config.sac.batch_size} cannot be split evenly over {drawn} tasks; "
+            f"try {lower} or {lower + drawn}"
         )
     epoch = config.collect.envs * config.collect.steps
     if config.replay.capacity // tasks < epoch:
@@ -34,7 +48,7 @@ def check_batch(config: Config, tasks: int) -> None:
             f"--replay.capacity {config.replay.capacity} holds less than one epoch of {tasks} tasks × {epoch} "
             f"steps; it must be at least {tasks * epoch}"
         )
-    if (share := config.sac.batch_size // tasks) % config.sac.policy_share:
+    if (share := config.sac.batch_size // drawn) % config.sac.policy_share:
         raise UsageError(
             f"--sac.policy-share {config.sac.policy_share} does not divide the {share} transitions that a batch "
             "has of each task"
@@ -119,11 +133,19 @@ class Batches:
         count = task_count(self.tasks)
         return jnp.repeat(jnp.arange(count), self.config.sac.batch_size // count)
 
-    def draw(self, key: jax.Array, updates: int) -> Draws:
-        """Draws the randomness of `updates` updates, each leaf [updates, n, …]."""
+    def draw(self, key: jax.Array, updates: int, tasks: jax.Array | None = None) -> Draws:
+        """Draws the randomness of `updates` updates, each leaf [updates, n, …].
+
+        Args:
+          key: a random key.
+          updates: their number.
+          tasks: int32 [updates, drawn], the tasks of each; all by default.
+        """
         n, settings = self.config.sac.batch_size, self.config.replay
         keys = jax.random.split(key, 7)  # PEARL's learner uses keys[5]
-        source, variant = jnp.broadcast_to(self.item_tasks(), (updates, n)), jnp.zeros((updates, n), jnp.int32)
+        if tasks is None:
+            tasks = jnp.broadcast_to(jnp.arange(task_count(self.tasks)), (updates, task_count(self.tasks)))
+        source, variant = jnp.repeat(tasks, n // tasks.shape[1], axis=1), jnp.zeros((updates, n), jnp.int32)
         if self.symmetry:
             source, variant = own_by_symmetry(self.symmetry, self.tasks, keys[6], source)
         if settings.share_experience:

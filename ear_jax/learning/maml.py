@@ -21,8 +21,9 @@ from ear_jax.envs.family import Family
 from ear_jax.errors import UsageError
 from ear_jax.learning import trust_region
 from ear_jax.learning.advantage import advantages, mean_valid
+from ear_jax.learning.batch import draw_tasks, drawn_tasks
 from ear_jax.learning.rollout import act_with, first_episode, rollout
-from ear_jax.tasks import TaskParams
+from ear_jax.tasks import TaskParams, task_count
 
 
 @struct.dataclass
@@ -38,8 +39,9 @@ class Trial:
 
 @struct.dataclass
 class Trials:
-    """The episodes of one update, each leaf [tasks, …]."""
+    """The episodes of one update, each leaf [drawn, …]."""
 
+    tasks: jax.Array  # int32: the tasks that they are of
     before: Trial  # under the shared parameters
     after: Trial  # under each task's adapted parameters
 
@@ -78,6 +80,20 @@ def divergence(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> j
     return mean_valid(jax.vmap(jax.vmap(step_divergence))(trial.obs, trial.behaviour), trial.valid)
 
 
+def features(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> jax.Array:
+    """Returns what half the squared distance from the behaviour's is `divergence` to second order, [steps, …, 2 act].
+
+    That is means in units of σ, and √2 log σ.
+    """
+
+    def of_step(obs: jax.Array, behaviour: Gaussian) -> jax.Array:
+        new = agent.distribution(policy, code, obs)
+        return jnp.concatenate([new.mean * jnp.exp(-behaviour.log_std), jnp.sqrt(2.0) * new.log_std])
+
+    weight = jnp.sqrt(trial.valid / jnp.maximum(jnp.sum(trial.valid), 1))
+    return weight[..., None] * jax.vmap(jax.vmap(of_step))(trial.obs, trial.behaviour)
+
+
 @dataclass(frozen=True)
 class MamlLearner:
     """Trains an agent whose codes are tuned (`Learner`), on-policy: an update learns from one epoch's episodes."""
@@ -105,37 +121,40 @@ class MamlLearner:
     def memory(self, env_states: EnvState) -> Trials:
         """Returns empty trials for environments [tasks, envs]."""
         rows, episodes = env_states.steps.shape
-        shape = (rows, self.config.collect.steps // 2, episodes)
+        drawn = drawn_tasks(self.config, rows)
+        shape = (drawn, self.config.collect.steps // 2, episodes)
         obs, act = jnp.zeros((*shape, self.family.observation_size)), jnp.zeros((*shape, self.family.action_size))
         empty = Trial(obs, act, Gaussian(act, act), jnp.zeros(shape), jnp.zeros(shape, bool))
-        return Trials(empty, empty)
+        return Trials(jnp.arange(drawn), empty, empty)
 
     def collect(
         self, state: MamlState, memory: Trials, env_states: EnvState, key: jax.Array
     ) -> tuple[EnvState, Trials, dict[str, jax.Array]]:
-        """Plays half an epoch's steps with the shared parameters and half after adapting to each task."""
+        """Plays half an epoch's steps with the shared parameters and half after adapting to each task drawn."""
         key_before, key_after = jax.random.split(key)
-        origin = jnp.zeros_like(self.agent.codes(state.policy))
-        before, returns_before, invalid_before = self.play(state.policy, origin, self.tasks, key_before)
+        rows = draw_tasks(self.config, task_count(self.tasks), jax.random.fold_in(key, 1))
+        tasks = jax.tree.map(lambda leaf: leaf[rows], self.tasks)
+        origin = jnp.zeros((len(rows), self.agent.code_size))
+        before, returns_before, invalid_before = self.play(state.policy, origin, tasks, key_before)
         codes = self.tune(state.policy, origin, before)
-        after, returns_after, invalid_after = self.play(state.policy, codes, self.tasks, key_after)
+        after, returns_after, invalid_after = self.play(state.policy, codes, tasks, key_after)
         metrics = {
             "invalid_steps": invalid_before + invalid_after,
             "return_before": jnp.mean(returns_before),
             "return_after": jnp.mean(returns_after),
         }
-        return env_states, Trials(before, after), metrics
+        return env_states, Trials(rows, before, after), metrics
 
     def learn(self, state: MamlState, trials: Trials, key: jax.Array) -> tuple[MamlState, dict[str, jax.Array]]:
         """Takes one trust-region step of the adapted policies' loss, differentiated through their adaptation.
 
         Returns:
-          The new state, whose codes are adapted on the same episodes, and metrics: scalars, and `finite_updates`
-          [tasks], 1 if a task's loss was finite.
+          The new state, where the codes of the tasks drawn are adapted on the same episodes, and metrics: scalars, and
+          `finite_updates` [tasks], 0 if a task's loss was not finite.
         """
-        policy = state.policy
+        policy, rows = state.policy, trials.tasks
         start, rebuild = ravel_pytree(policy["networks"])
-        origin = jnp.zeros_like(self.agent.codes(policy))
+        origin = jnp.zeros((len(rows), self.agent.code_size))
 
         def adapt(parameters: jax.Array) -> tuple[Params, jax.Array]:
             new = {**policy, "networks": rebuild(parameters)}
@@ -149,10 +168,18 @@ class MamlLearner:
         def over_tasks(parameters: jax.Array) -> tuple[jax.Array, jax.Array]:
             return jax.tree.map(jnp.mean, by_task(parameters))
 
-        end, metrics = trust_region.improve(over_tasks, start, self.config.maml.max_divergence)
+        def features_over_tasks(parameters: jax.Array) -> jax.Array:
+            new, codes = adapt(parameters)
+            each = jax.vmap(partial(features, self.agent, new))(codes, trials.after)
+            return each / jnp.sqrt(len(each))  # as the divergence is the mean over tasks
+
+        limit = self.config.maml.max_divergence
+        end, metrics = trust_region.improve(over_tasks, features_over_tasks, start, limit)
         new, codes = adapt(end)
         finite = jnp.isfinite(by_task(start)[0]).astype(jnp.int32)
-        return MamlState({**new, "codes": codes}), {**metrics, "finite_updates": finite}
+        table = self.agent.codes(policy)
+        state = MamlState({**new, "codes": table.at[rows].set(codes)})
+        return state, {**metrics, "finite_updates": jnp.ones(len(table), jnp.int32).at[rows].set(finite)}
 
     def tune(self, policy: Params, codes: jax.Array, trials: Trial) -> jax.Array:
         """Takes a gradient step of each task's code [tasks, code] on its own trial, each leaf [tasks, …]."""

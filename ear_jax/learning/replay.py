@@ -84,21 +84,22 @@ def apply_symmetry(symmetry: Symmetry, variant: jax.Array, item: Experience) -> 
     return Experience(obs, action, next_obs, outcome, item.terminated)
 
 
-def recent(replay: Replay, place: jax.Array, window: int) -> tuple[Experience, jax.Array]:
-    """Returns items among the newest `window` of each task's ring.
+def recent(replay: Replay, tasks: jax.Array, place: jax.Array, window: int) -> tuple[Experience, jax.Array]:
+    """Returns items among the newest `window` of tasks' rings.
 
     Args:
       replay: the rings.
+      tasks: int32 [tasks], whose rings.
       place: [tasks, n] in [0, 1), positions among them, from the newest at 0.
       window: the number of newest items.
 
     Returns:
       Items [tasks, n], and a bool [tasks, n], False if the ring is empty.
     """
-    held = jnp.minimum(replay.size, window)[:, None]
+    held = jnp.minimum(replay.size[tasks], window)[:, None]
     age = 1 + jnp.minimum((place * held).astype(jnp.int32), jnp.maximum(held - 1, 0))
-    slot = (replay.added[:, None] - age) % replay.rings.terminated.shape[1]
-    source = jnp.broadcast_to(jnp.arange(len(place))[:, None], place.shape)
+    slot = (replay.added[tasks, None] - age) % replay.rings.terminated.shape[1]
+    source = jnp.broadcast_to(tasks[:, None], place.shape)
     return gather(replay, source, slot), jnp.broadcast_to(held > 0, place.shape)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +17,19 @@ DAMPING = 1e-2
 Measure = Callable[[jax.Array], tuple[jax.Array, jax.Array]]  # parameters [n] → loss, divergence
 
 
-def improve(measure: Measure, start: jax.Array, limit: float) -> tuple[jax.Array, dict[str, jax.Array]]:
+def improve(
+    measure: Measure, features: Callable[[jax.Array], Any], start: jax.Array, limit: float
+) -> tuple[jax.Array, dict[str, jax.Array]]:
     """Lowers the loss within a limit on the divergence from the start (Schulman et al. 2015, appendix C).
 
-    The direction is the natural gradient, by conjugate gradients on the divergence's curvature. The step starts at the
-    longest that the limit allows to second order, and is shortened until the loss falls and the limit holds.
+    The direction is the natural gradient, by conjugate gradients on the divergence's curvature JᵀJ, where J is the
+    Jacobian of the features at the start. It is linearised once, which takes half the time of differentiating the
+    divergence twice in each of their steps. The step starts at the longest that the limit allows to second order, and
+    is shortened until the loss falls and the limit holds.
 
     Args:
       measure: parameters → the loss, and the divergence from the result of `start`, which is minimal there.
+      features: parameters → a pytree; to second order, the divergence is half its squared distance from the start's.
       start: parameters [n].
       limit: the largest divergence allowed.
 
@@ -33,9 +39,12 @@ def improve(measure: Measure, start: jax.Array, limit: float) -> tuple[jax.Array
     """
     loss, gradient = jax.value_and_grad(lambda parameters: measure(parameters)[0])(start)
 
+    _, jacobian = jax.linearize(features, start)
+    transposed = jax.linear_transpose(jacobian, start)
+
     def curvature(vector: jax.Array) -> jax.Array:
-        divergence_grad = jax.grad(lambda parameters: measure(parameters)[1])
-        return jax.jvp(divergence_grad, (start,), (vector,))[1]
+        (product,) = transposed(jacobian(vector))
+        return product
 
     along = jnp.vdot(gradient, curvature(gradient)) / jnp.maximum(jnp.vdot(gradient, gradient), 1e-12)
     damping = DAMPING * jnp.maximum(along, 1e-6)

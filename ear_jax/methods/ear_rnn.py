@@ -14,7 +14,7 @@ from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config, flag
 from ear_jax.errors import UsageError
 from ear_jax.methods.ear import ear
-from ear_jax.methods.method import OF_MAML, Method, Sizes
+from ear_jax.methods.method import OF_META_LEARNING, Method, Sizes
 
 
 def ear_rnn(sizes: Sizes, config: Config) -> Agent:
@@ -74,7 +74,7 @@ _HISTORY = {"network": {"history": 8}}
 METHOD = Method(
     "ear-rnn",
     ear_rnn,
-    unread=(*OF_MAML, "sac.outcome_weight"),
+    unread=(*OF_META_LEARNING, "sac.outcome_weight"),
     presets={
         "paper": _HISTORY,
         # An update takes 4.5 times as long as EAR's; an hour of one core allows no more epochs.

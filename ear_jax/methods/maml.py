@@ -71,14 +71,17 @@ _EPISODES: dict[str, Any] = {
 # In jonasrothfuss/ProMP and tristandeleu/pytorch-maml-rl λ is 1, the step 0.1 and the limit 0.01. On 20 episodes of 200
 # steps the gradient is then nearly all noise, and a step that fits it does worse on fresh episodes.
 _LESS_NOISE: dict[str, Any] = {"maml": {"gae_lambda": 0.9, "inner_lr": 0.03, "max_divergence": 0.05}}
+_TASKS = {"halfcheetah-vel": 100, "hopper-vel": 40, "walker-vel": 40, "ant-dir": 40}  # the paper's numbers
+_FAMILIES = {family: {"task_count": count} for family, count in _TASKS.items()}
 METHOD = Method(
     "maml",
     maml,
     MamlLearner,
     unread=("network.matmul", *OF_EMBEDDINGS, *OF_A_TASK_ENCODER, *_OF_SAC),
     presets={
-        "paper": {**_EPISODES, "epochs": 1000},
-        "fast": {**_EPISODES, **_LESS_NOISE, "epochs": 300},
+        "paper": {**_EPISODES, "epochs": 1000, "meta_batch": 40},
+        "fast": {**_EPISODES, **_LESS_NOISE, "epochs": 300, "meta_batch": 10},
         "smoke": {**_EPISODES, **_LESS_NOISE, "epochs": 20},
     },
+    families={"paper": _FAMILIES, "fast": _FAMILIES},
 )

@@ -14,6 +14,7 @@ from ear_jax.learning.sac import SacLearner
 
 # Settings that many methods do not read, as patterns of `fnmatch`.
 OF_MAML = ("maml.*",)
+OF_META_LEARNING = (*OF_MAML, "meta_batch")
 OF_EMBEDDINGS = (
     *("sac.lte_noise", "sac.outcome_weight", "network.normalise_*"),
     *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task", "equivariant")),
@@ -42,8 +43,9 @@ class Method:
     name: str
     build: Callable[[Sizes, Config], Agent]
     learner: type[Learner] = SacLearner  # trains the agent
-    unread: tuple[str, ...] = OF_MAML  # patterns of settings that neither the agent nor the learner reads
+    unread: tuple[str, ...] = OF_META_LEARNING  # patterns of settings that neither the agent nor the learner reads
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # preset → settings changed for this method
+    families: Mapping[str, Mapping[str, Mapping[str, Any]]] = field(default_factory=dict)  # the same of single families
     check: Callable[[Config], None] = _accept  # raises UsageError for settings it does not support
 
     def reads(self, setting: str) -> bool:

@@ -10,7 +10,7 @@ from ear_jax.agents.critic import critic_network, make_critic
 from ear_jax.agents.networks import Params, mlp
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config
-from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_MAML, Method, Sizes
+from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_META_LEARNING, Method, Sizes
 
 
 def multihead(sizes: Sizes, config: Config) -> Agent:
@@ -46,6 +46,6 @@ def multihead(sizes: Sizes, config: Config) -> Agent:
 METHOD = Method(
     "multihead",
     multihead,
-    unread=(*OF_MAML, *OF_EMBEDDINGS, *OF_A_TASK_ENCODER),
+    unread=(*OF_META_LEARNING, *OF_EMBEDDINGS, *OF_A_TASK_ENCODER),
     presets={"paper": {"network": {"decoder_layers": 3, "critic_layers": 3}, "sac": {"max_grad_norm": 1.0}}},
 )

@@ -10,9 +10,9 @@ from ear_jax.agents.critic import task_critic
 from ear_jax.agents.networks import Params, mlp, unit_vector
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config
-from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_MAML, Method, Sizes
+from ear_jax.methods.method import OF_A_TASK_ENCODER, OF_EMBEDDINGS, OF_META_LEARNING, Method, Sizes
 
-UNREAD = (*OF_MAML, *OF_EMBEDDINGS, *OF_A_TASK_ENCODER)
+UNREAD = (*OF_META_LEARNING, *OF_EMBEDDINGS, *OF_A_TASK_ENCODER)
 
 
 def onehot(sizes: Sizes, config: Config) -> Agent:

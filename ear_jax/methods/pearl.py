@@ -65,6 +65,13 @@ def check(config: Config) -> None:
 
 
 _ENCODER: dict[str, Any] = {"lte_size": 5, "task_width": 200, "task_layers": 3}
+# The paper's numbers of tasks. An epoch has about as many steps as the other methods', and replay 100 epochs.
+_FAMILIES: dict[str, dict[str, Any]] = {
+    "halfcheetah-vel": {"task_count": 100, "collect": {"envs": 1}, "replay": {"capacity": 250_000}},
+    "hopper-vel": {"task_count": 20, "collect": {"envs": 4}},
+    "walker-vel": {"task_count": 20, "collect": {"envs": 4}},
+    "ant-dir": {"task_count": 100, "collect": {"envs": 2}, "replay": {"capacity": 500_000}},
+}
 METHOD = Method(
     "pearl",
     pearl,
@@ -74,9 +81,14 @@ METHOD = Method(
         "paper": {
             "network": {**_ENCODER, "width": 300, "decoder_layers": 3, "critic_layers": 3},
             "sac": {"reward_scale": 5.0},
+            "meta_batch": 16,
         },
-        "fast": {"network": _ENCODER},
+        "fast": {"network": _ENCODER, "meta_batch": 10},
         "smoke": {"network": _ENCODER},
+    },
+    families={
+        "paper": {family: {"task_count": changes["task_count"]} for family, changes in _FAMILIES.items()},
+        "fast": _FAMILIES,
     },
     check=check,
 )

@@ -18,6 +18,7 @@ from ear_jax.config import Config
 from ear_jax.envs import Family, find_task, make_family
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.errors import UsageError
+from ear_jax.learning.batch import drawn_tasks
 from ear_jax.learning.episodes import Episodes, play_from, starts
 from ear_jax.learning.learner import Learner, Metrics
 from ear_jax.limits import check
@@ -59,7 +60,9 @@ class Program:
     @property
     def env_steps_per_epoch(self) -> int:
         """Environment steps of one seed in an epoch."""
-        return len(self.tasks) * self.config.collect.envs * self.config.collect.steps
+        collect, tasks = self.config.collect, len(self.tasks)
+        played = drawn_tasks(self.config, tasks) if self.learner.on_policy else tasks
+        return played * collect.envs * collect.steps
 
     def env_steps(self, collected: int) -> int:
         """Returns the environment steps of one seed in a number of epochs of collection."""
@@ -76,7 +79,7 @@ def make_program(config: Config) -> Program:
     check_settings()
     check(config)
     family = _family(config)
-    tasks = task_set([find_task(family, name) for name in config.tasks]) if config.tasks else family.training_tasks()
+    tasks = _tasks(config, family)
     method = find_method(config.agent)
     method.check(config)
     method.learner.check(config, len(tasks))
@@ -118,6 +121,12 @@ def _family(config: Config) -> Family:
     family = make_family(config.family, config.engine, **dataclasses.asdict(config.env))
     family.history = config.network.history
     return family
+
+
+def _tasks(config: Config, family: Family) -> TaskSet:
+    if config.tasks:
+        return task_set([find_task(family, name) for name in config.tasks])
+    return family.spread_tasks(config.task_count) if config.task_count else family.training_tasks()
 
 
 def _learner(config: Config, family: Family, tasks: TaskSet) -> Learner:

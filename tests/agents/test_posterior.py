@@ -49,7 +49,7 @@ def test_the_newest_items_of_a_ring(added, newest):
     for item in range(added):
         ring[item % 4] = item
     rings = Experience(*[jnp.array(ring)[None]] * 5)
-    items, held = replay.recent(Replay(rings, jnp.array([added])), jnp.array([[0.0, 0.4, 0.7, 0.99]]), 3)
+    items, held = replay.recent(Replay(rings, jnp.array([added])), jnp.arange(1), jnp.array([[0.0, 0.4, 0.7, 0.99]]), 3)
     assert held.all() == held.any() == (newest is not None)
     if newest is not None:
         np.testing.assert_array_equal(items.obs[0], newest)

@@ -311,3 +311,16 @@ def test_is_a_brax_environment_by_name_and_restarts_elsewhere(name):
 def test_an_unknown_setting_or_value_is_named(name, options, complaint):
     with pytest.raises(UsageError, match=re.escape(complaint)):
         make_family(name, "native", **options)
+
+
+def test_tasks_are_spread_evenly_over_the_range_of_the_paper():
+    cheetah, ant = make_family("halfcheetah-vel"), make_family("ant-dir")
+    speeds = cheetah.spread_tasks(100)
+    assert speeds.names[:3] == ["vel-0.1", "vel-0.2", "vel-0.3"]
+    assert speeds.names[-1] == "vel-10"
+    assert set(cheetah.training_tasks().names) < set(speeds.names)
+    assert make_family("hopper-vel").spread_tasks(10).document == make_family("hopper-vel").training_tasks().document
+    assert ant.spread_tasks(24).document == ant.training_tasks().document
+    assert ant.spread_tasks(100).names[:3] == ["dir-0", "dir-3.6", "dir-7.2"]
+    with pytest.raises(UsageError, match="halfcheetah-run-jump has no range to spread 20 tasks over; name them with"):
+        make_family("halfcheetah-run-jump").spread_tasks(20)

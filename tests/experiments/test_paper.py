@@ -8,10 +8,11 @@ from typing import Any
 import pytest
 
 from ear_jax.cli import main as ear
-from ear_jax.envs import FAMILIES
+from ear_jax.envs import FAMILIES, make_family
 from ear_jax.methods import METHODS
 from ear_jax.presets import preset_config
 from experiments.paper import EXPERIMENTS, FIGURES, TABLES, numbers
+from experiments.report.settings import AGENTS
 
 # Rows of the paper's LaTeX from the first & on, each with its place: a row of a panel, or part of a column.
 OURS = (
@@ -98,6 +99,17 @@ def test_the_paper_preset_has_the_papers_hyperparameters():
                 "evaluation episodes": config.log.episodes,
             }
             assert ours == {name: printed[name][families] for name in ours}
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast"])
+def test_presets_have_as_many_tasks_as_the_papers_methods(preset):
+    data = numbers()["table-3"]
+    for name, *cells in data["panels"][""]:
+        for families, cell in zip(data["columns"][1:], cells, strict=True):
+            for family in families.split(" and "):
+                config = preset_config(family, preset, AGENTS[name])
+                count = config.task_count or len(make_family(family).training_tasks())
+                assert f"{count} tasks" in cell, (name, family)
 
 
 def test_runs_are_of_the_families_and_agents_that_the_paper_compares_and_of_ours():

@@ -12,7 +12,8 @@ import jax
 import numpy as np
 import pytest
 
-from ear_jax.config import CheckpointConfig, Config, flag, words_of
+from ear_jax.cli.sweep import words_of
+from ear_jax.config import CheckpointConfig, Config, flag
 from ear_jax.presets import preset_config
 from ear_jax.runs import checkpoint, records, training
 from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs

@@ -12,8 +12,9 @@ import pytest
 
 from ear_jax.agents.tanh_gaussian import Gaussian
 from ear_jax.errors import UsageError
+from ear_jax.learning import maml
 from ear_jax.learning.advantage import advantages, returns_to_go
-from ear_jax.learning.maml import MamlLearner, MamlState, Trial
+from ear_jax.learning.maml import MamlLearner, MamlState, Trial, Trials
 from ear_jax.learning.trust_region import improve
 from ear_jax.methods import Sizes, find_method, make_agent
 from ear_jax.presets import preset_config
@@ -66,7 +67,10 @@ def test_a_step_goes_along_the_natural_gradient_as_far_as_allowed():
     def measure(where: jax.Array) -> tuple[jax.Array, jax.Array]:
         return where @ slope, 0.5 * (where - 1) @ CURVATURE @ (where - 1)
 
-    end, metrics = jax.jit(partial(improve, measure))(jnp.ones(3), 0.02)
+    def features(where: jax.Array) -> jax.Array:
+        return jnp.sqrt(CURVATURE) @ where
+
+    end, metrics = jax.jit(partial(improve, measure, features))(jnp.ones(3), 0.02)
     direction = -jnp.linalg.solve(CURVATURE + 0.01 * 1.75 * jnp.eye(3), slope)
     np.testing.assert_allclose((end - 1) / jnp.linalg.norm(end - 1), direction / jnp.linalg.norm(direction), atol=1e-4)
     assert float(metrics["divergence"]) == pytest.approx(0.02, rel=0.1)
@@ -77,14 +81,37 @@ def test_a_step_too_long_for_the_loss_is_shortened_and_none_is_taken_at_a_minimu
     def measure(where: jax.Array) -> tuple[jax.Array, jax.Array]:
         return where @ where, 1e-3 * jnp.sum((where - start) ** 2)
 
+    def features(where: jax.Array) -> jax.Array:
+        return jnp.sqrt(2e-3) * where
+
     start = jnp.full(3, 0.1)
-    end, metrics = jax.jit(partial(improve, measure))(start, 0.02)
+    end, metrics = jax.jit(partial(improve, measure, features))(start, 0.02)
     assert 0 < float(metrics["step"]) < 1
     assert end @ end < start @ start
     start = jnp.zeros(3)
-    end, metrics = jax.jit(partial(improve, measure))(start, 0.02)
+    end, metrics = jax.jit(partial(improve, measure, features))(start, 0.02)
     np.testing.assert_array_equal(end, 0)
     assert float(metrics["step"]) == 0
+
+
+def test_half_the_squared_distance_of_features_curves_as_the_divergence():
+    """The Hessian of the divergence in the code, at the code that the trial was played under, is JᵀJ."""
+    program = bandit_program("maml")
+    config = replace(program.config, collect=replace(program.config.collect, envs=3, steps=4))
+    learner = replace(program.learner, config=config)
+    policy = learner.init(jax.random.key(0)).policy
+    trials, _, _ = jax.jit(learner.play)(policy, policy["codes"], program.tasks.params, jax.random.key(1))
+    trial, origin = jax.tree.map(lambda leaf: leaf[0], trials), policy["codes"][0]
+    along = jax.random.normal(jax.random.key(2), origin.shape)
+
+    def on_line(distance: jax.Array) -> tuple[jax.Array, jax.Array]:
+        code = origin + distance * along
+        return maml.divergence(program.agent, policy, code, trial), maml.features(program.agent, policy, code, trial)
+
+    curvature = jax.hessian(lambda distance: on_line(distance)[0])(0.0)
+    slope = jax.jacfwd(lambda distance: on_line(distance)[1])(0.0)
+    assert curvature > 0.1
+    assert float(jnp.sum(slope**2)) == pytest.approx(float(curvature), rel=1e-4)
 
 
 def test_tuning_follows_the_policy_gradient_of_a_task_alone():
@@ -114,6 +141,29 @@ def test_a_trial_is_the_first_episode_of_each_environment():
     action = jnp.tanh(trials.raw[:, 0, :, 0])
     np.testing.assert_allclose(returns, -((action - jnp.array([[-0.5], [0.5]])) ** 2), atol=1e-5)
     assert invalid == 0
+
+
+def test_an_update_plays_and_adapts_the_tasks_drawn_alone():
+    program = bandit_program("maml")
+    config = replace(program.config, meta_batch=1, collect=replace(program.config.collect, envs=64))
+    program = replace(program, config=config, learner=replace(program.learner, config=config))
+    assert program.env_steps_per_epoch == 64 * 2
+    state = program.learner.init(jax.random.key(0))
+
+    @jax.jit
+    def epoch(key: jax.Array) -> tuple[Trials, MamlState, dict[str, jax.Array]]:
+        _, trials, _ = program.learner.collect(state, None, None, key)  # it starts environments of its own
+        return trials, *program.learner.learn(state, trials, key)
+
+    drawn = set()
+    for key in jax.random.split(jax.random.key(1), 8):
+        trials, after, metrics = epoch(key)
+        (task,) = trials.tasks.tolist()
+        drawn.add(task)
+        assert trials.before.obs.shape == trials.after.obs.shape == (1, 1, 64, 1)
+        np.testing.assert_array_equal(after.policy["codes"].any(axis=1), np.arange(2) == task)
+        np.testing.assert_array_equal(metrics["finite_updates"], [1, 1])
+    assert drawn == {0, 1}
 
 
 class Breaks(Poisoned):

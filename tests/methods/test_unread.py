@@ -18,12 +18,15 @@ from ear_jax.runs import training
 from tests.helpers.runs import tiny_config
 
 # Settings that are not the learner's (length, place, logging), and those that need another family or size.
-ELSEWHERE = ("family", "preset", "agent", "engine", "seed", "seeds", "epochs", "minutes", "tasks", "env.*", "log.*")
-NOT_TRIED = (*ELSEWHERE, "checkpoint.*", "collect.pretrain_epochs", "network.history", "replay.symmetry")
+ELSEWHERE = ("family", "preset", "agent", "engine", "seed", "seeds", "epochs", "minutes", "task*", "env.*", "log.*")
+OF_PARTS = ("collect.pretrain_epochs", "collect.overlap", "network.history", "network.equivariant", "replay.symmetry")
+NOT_TRIED = (*ELSEWHERE, "checkpoint.*", *OF_PARTS)
 
 
 def other_value(name: str, value: object) -> object:
-    """Returns another valid value of a setting."""
+    """Returns another valid value of a setting; that of one not given is 1."""
+    if value is None:
+        return 1
     if isinstance(value, bool):
         return not value
     if isinstance(value, int):
@@ -36,6 +39,8 @@ def other_value(name: str, value: object) -> object:
 
 def with_setting(config: Config, name: str, value: object) -> Config:
     group, _, setting = name.rpartition(".")
+    if not group:
+        return replace(config, **{setting: value})
     return replace(config, **{group: replace(getattr(config, group), **{setting: value})})
 
 
@@ -98,6 +103,11 @@ def test_they_are_refused_and_others_are_not():
     [
         ("halfcheetah-vel --agent multihead --network.lse-size 8", "--network.lse-size 8 would change nothing"),
         ("halfcheetah-vel --agent maml --sac.discount 0.9", "agent 'maml' has no use for it"),
+        ("halfcheetah-vel --agent ear --meta-batch 5", "agent 'ear' has no use for it"),
+        ("halfcheetah-vel --tasks 1 2 --task-count 5", "--task-count 5 would change nothing: the tasks are named"),
+        ("halfcheetah-run-jump --task-count 5", "has no range to spread 5 tasks over; name them with --tasks"),
+        ("halfcheetah-vel --task-count 1001", "--task-count 1001 is too large; it must be at most 1000"),
+        ("halfcheetah-vel --agent pearl --meta-batch 7", "cannot be split evenly over 7 tasks; try 476 or 483"),
         ("halfcheetah-vel --replay.symmetry True", "halfcheetah-vel has no symmetry"),
         ("halfcheetah-vel --agent ear-rnn --network.encoder-layers 0", "whose first layer is its RNN"),
         ("halfcheetah-vel --agent pearl --sac.return-scale 10", "does not go with pearl"),
