@@ -52,7 +52,7 @@ def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes:
     Args:
       experiment: the table or figure.
       preset: a preset's name.
-      seeds: number of seeds; by default the experiment's.
+      seeds: number of seeds; by default the method's, or else the experiment's.
       minutes: wall time after which each run stops; by default the preset's epochs decide.
     """
 
@@ -60,7 +60,13 @@ def jobs(experiment: Experiment, preset: str, seeds: int | None = None, minutes:
         config = preset_config(method.family, preset + method.variant, method.agent)
         return Job(dataclasses.replace(config, seed=seed, minutes=minutes), method.analyses)
 
-    return [job(method, seed) for seed in range(seeds or experiment.seeds) for method in experiment.methods]
+    counts = {method: seeds or method.seeds or experiment.seeds for method in experiment.methods}
+    return [
+        job(method, seed)
+        for seed in range(max(counts.values(), default=0))
+        for method in counts
+        if seed < counts[method]
+    ]
 
 
 def is_trained(job: Job) -> bool:

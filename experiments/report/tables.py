@@ -18,7 +18,6 @@ from experiments.paper import (
     REFINED_INTERPOLATION,
     REFINEMENT,
     TURNED,
-    WIDE,
     Method,
     episodes,
     numbers,
@@ -187,7 +186,7 @@ def _source(family: str) -> str:
 
 
 def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str]:
-    paper = paper_return(method.family, method.agent) if method.variant in (*TURNED, WIDE) else None
+    paper = paper_return(method.family, method.agent) if method.variant in TURNED else None
     cells = [label(method), printed(paper) if paper else MISSING]
     if not runs:
         return [*cells, NO_RUN, *[MISSING] * 6]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from ear_jax.cli import main as ear
 from ear_jax.envs import FAMILIES, make_family
 from ear_jax.methods import METHODS
 from ear_jax.presets import preset_config
+from experiments.inventory import jobs
 from experiments.paper import EXPERIMENTS, FIGURES, TABLES, numbers
 from experiments.report.settings import AGENTS
 
@@ -120,6 +122,17 @@ def test_runs_are_of_the_families_and_agents_that_the_paper_compares_and_of_ours
     assert {method.family for method in methods} <= set(FAMILIES)
     agents = {"ear", "ear-rnn", "onehot", "onehot-blind", "multihead", "pearl", "maml"}
     assert {method.agent for method in methods} == agents <= set(METHODS)
+
+
+def test_table_1_has_five_seeds_of_ear_and_three_of_the_others_on_every_family():
+    wanted = jobs(EXPERIMENTS["table-1"], "fast")
+    counts = Counter((job.config.family, job.config.agent, job.config.preset) for job in wanted)
+    ant, speeds = "ant-dir", ("halfcheetah-vel", "hopper-vel", "walker-vel")
+    ear = {**{(family, "ear", "fast"): 5 for family in speeds}, (ant, "ear", "fast+equivariant"): 5}
+    others = ("pearl", "multihead", "onehot", "maml", "onehot-blind")
+    assert counts == ear | {(ant, "ear", "fast"): 3} | {
+        (family, agent, "fast"): 3 for family in (ant, *speeds) for agent in others
+    }
 
 
 def test_every_analysis_is_a_command_line_that_ear_understands(tmp_path, monkeypatch, capsys):
