@@ -36,7 +36,8 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
     Returns:
       The document that `ear evaluate --json` prints: per seed and task the return (mean, standard deviation), the mean
       outcome, the number of failed episodes (those that end before the time limit), and each episode. A task fails if
-      any of its episodes fails.
+      any of its episodes fails. If codes are tuned (MAML), also `untuned_return`, the mean return from the same starts
+      of the parameters that all tasks share.
     """
     program = trained.program
     config, count = program.config, program.config.seeds
@@ -45,10 +46,15 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
     options = compiler_options()
     start = jax.jit(jax.vmap(lambda key: training.evaluation_starts(program, key, episodes)), compiler_options=options)
     play_all = jax.jit(jax.vmap(partial(training.evaluate_from, program)), compiler_options=options)
-    played = jax.device_get(play_all(trained.policies, start(keys)))
+    starts = start(keys)
+    played = jax.device_get(play_all(trained.policies, starts))
     seeds = [
         _describe_seed(program, config.seed + index, jax.tree.map(itemgetter(index), played)) for index in range(count)
     ]
+    if program.agent.tuned:
+        untuned = jnp.zeros((count, len(program.tasks), program.agent.code_size))
+        shared = jax.device_get(play_all(trained.policies, starts, untuned).returns)
+        seeds = [{**seed, "untuned_return": float(each.mean())} for seed, each in zip(seeds, shared, strict=True)]
     failures = [task["failures"] for seed in seeds for task in seed["tasks"]]
     return {
         "run": trained.name,

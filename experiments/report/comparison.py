@@ -15,6 +15,7 @@ from ear_jax.envs.halfcheetah_vel import HalfCheetahVel
 from experiments.paper import (
     ANT,
     CHEETAH,
+    EVALUATION,
     EXPERIMENTS,
     FAMILIES,
     INTERPOLATION,
@@ -82,7 +83,7 @@ def comparison(index: RunIndex) -> Section:
             Points(short or ["nothing"]),
             *([f"Nothing to compare yet: {', '.join(without)}."] if without else []),
             "Reasons, and differences from the paper or its code:",
-            Points([*_budgets(index), *_cheetah(index), *_onehot(index), *WHY]),
+            Points([*_budgets(index), *_cheetah(index), *_onehot(index), *_tuned(index), *WHY]),
         ],
     )
 
@@ -206,3 +207,20 @@ def _onehot(index: RunIndex) -> Iterator[str]:
         ]
         if ours and paper:
             yield f"{NAMES[family]}: OHE-SAC {', '.join(ours)}; the paper's OHE-SAC {printed(paper)}."
+
+
+def _tuned(index: RunIndex) -> Iterator[str]:
+    """Yields what MAML gains by its gradient step, over the parameters that all tasks share."""
+    for family in FAMILIES:
+        evaluations = [one for run in index.runs(family, "maml") for one in run.of_seed(EVALUATION.name, "seeds")]
+        pairs = [(one["untuned_return"], one["mean_return"]) for one in evaluations if "untuned_return" in one]
+        if pairs:
+            before, after = np.transpose(pairs)
+            gain = number(np.mean(after - before))
+            if len(pairs) > 1:
+                error = np.std(after - before, ddof=1) / np.sqrt(len(pairs))
+                gain += f" ± {number(error)} (standard error)"
+            yield (
+                f"{NAMES[family]}: MAML returns {spread(before)} with the parameters that all tasks share and "
+                f"{spread(after)} after its gradient step in each: a gain of {gain}, {seeds(pairs)}."
+            )

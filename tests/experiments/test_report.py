@@ -173,6 +173,16 @@ def test_a_baseline_short_of_its_row_is_named(place):
     assert "HalfCheetah-Vel, MHMT-SAC, return: −295.5 (1 seed); the paper −145.2 ± 2.60." in short
 
 
+def test_what_tuning_gains_is_told_with_its_standard_error(place):
+    for seed, (before, after) in enumerate(((-300.0, -240.0), (-310.0, -230.0))):  # gains of 60 and 80
+        tasks = [{"name": "vel-1", "return_mean": after}]
+        evaluation = {"seed": seed, "untuned_return": before, "mean_return": after, "tasks": tasks}
+        add(record(agent="maml", seed=seed), "evaluation", seeds=[evaluation])
+    said = section("comparison", place / "out")
+    assert "−305.0 ± 7.1 with the parameters that all tasks share and −235.0 ± 7.1 after its gradient step" in said
+    assert "a gain of 70.0 ± 10.0 (standard error), 2 seeds." in said
+
+
 def test_a_run_with_other_tasks_or_another_reward_is_no_run_of_the_preset(place):
     record(tasks=("1", "2"))
     record("ant-dir", env=dataclasses.replace(preset_config("ant-dir", "fast").env, lateral_weight=1.0))

@@ -13,6 +13,7 @@ import pytest
 
 from ear_jax.agents.tanh_gaussian import Gaussian
 from ear_jax.embeddings.adapt import adapt
+from ear_jax.embeddings.evaluate import evaluate
 from ear_jax.embeddings.interpolate import play_blends, trained_ends
 from ear_jax.embeddings.search import Search
 from ear_jax.learning import losses
@@ -49,6 +50,15 @@ def test_each_agent_solves_the_bandit_as_well_as_what_it_sees_allows(solved):
     episodes = played(solved.program, jax.tree.map(lambda leaf: leaf[0], solved.policies), 4)
     best = [[0.0] * 4] * 2 if solved.name == "onehot-blind" else [[-0.5] * 4, [0.5] * 4]
     np.testing.assert_allclose(episodes.late["action"], best, atol=0.25 if solved.name == "maml" else 0.1)
+
+
+def test_an_evaluation_of_tuned_codes_tells_what_tuning_gained(solved):
+    """One action for both of the bandit's tasks returns at most −0.25."""
+    (seed,) = evaluate(solved, episodes=4, seed=0)["seeds"]
+    assert ("untuned_return" in seed) is solved.program.agent.tuned
+    if solved.program.agent.tuned:
+        assert seed["untuned_return"] <= -0.25
+        assert seed["mean_return"] > -0.1
 
 
 def test_search_over_codes_goes_as_far_as_codes_go(solved):
