@@ -107,7 +107,7 @@ REFINED_INTERPOLATION = replace(INTERPOLATION, name="refined-interpolation", of=
 OPTIONS = {
     (ANT, "evaluate"): ("--episodes", "20"),
     (ANT, "refine"): ("--iterations", "800", "--iteration-episodes", "48", "--env.lateral-weight", "1"),
-    (CHEETAH, "refine"): ("--iterations", "1000"),
+    (CHEETAH, "refine"): ("--iterations", "1500"),
 }
 REFINING = (EVALUATION, INTERPOLATION, REFINEMENT, REFINED_EVALUATION, REFINED_INTERPOLATION)
 MAP = Analysis("map", "map")
