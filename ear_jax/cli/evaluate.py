@@ -16,6 +16,8 @@ from ear_jax.errors import plain
 from ear_jax.process.terminal import phase, say
 from ear_jax.runs import records
 
+MOST_NAMED = 30  # tasks with falls that one line names
+
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateCommand(OnRun):
@@ -86,6 +88,9 @@ def print_evaluation(evaluation: dict[str, Any]) -> None:
         rows.append((tasks[0]["name"], achieved, returns, failures))
     headings = ("task", f"{commanded['outcome']} ({commanded['unit']})>", "return>", "falls>")
     print_table(headings, rows, f"{evaluation['run']}: mean return {evaluation['mean_return']:.1f}")
+    if "untuned_return" in evaluation["seeds"][0]:
+        shared = " / ".join(f"{seed['untuned_return']:.1f}" for seed in evaluation["seeds"])
+        print(f"Before the gradient step in each task: mean return {shared}")
     print(plain(falls(evaluation)))
 
 
@@ -100,4 +105,5 @@ def falls(evaluation: dict[str, Any]) -> str:
     fallen = [f"{name} in {count} of {episodes} episodes" for name, count in tasks if count]
     if not fallen:
         return f"No falls: all {len(tasks) * episodes} episodes ran their {evaluation['episode_length']} steps"
-    return f"{len(fallen)} of {len(tasks)} tasks had falls: {', '.join(fallen)}"
+    others = [f"and {len(fallen) - MOST_NAMED} more"] if len(fallen) > MOST_NAMED else []
+    return f"{len(fallen)} of {len(tasks)} tasks had falls: {', '.join(fallen[:MOST_NAMED] + others)}"

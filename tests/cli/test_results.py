@@ -127,6 +127,11 @@ def test_what_a_name_tells_already_is_not_repeated():
             [[1, 0], [0, 3]],
             "2 of 4 tasks had falls: vel-1 (seed 7) in 1 of 3 episodes, vel-2 (seed 8) in 3 of 3 episodes",
         ),
+        (
+            [[2] * 40],
+            f"40 of 40 tasks had falls: {', '.join(f'vel-{task} in 2 of 3 episodes' for task in range(1, 31))}, "
+            "and 10 more",
+        ),
     ],
 )
 def test_falls_are_named(failures, line):
