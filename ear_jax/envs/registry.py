@@ -17,7 +17,7 @@ from ear_jax.envs.validation import check_class, check_family, check_task
 from ear_jax.errors import USER_FILES, UsageError, unknown
 from ear_jax.names import FAMILY_FILES, family_name, name_of, offered_families
 from ear_jax.physics import choose_engine
-from ear_jax.tasks import Task
+from ear_jax.tasks import Task, TaskSet
 
 FAMILIES: dict[str, type[Family]] = {
     name_of(file): importlib.import_module(f"{__package__}.{file}").FAMILY for file in FAMILY_FILES
@@ -92,6 +92,22 @@ def find_task(family: Family, text: str) -> Task:
         task = family.parse_task(text)
     check_task(task, family.training_tasks().tasks[0], source)
     return task
+
+
+def spread_tasks(family: Family, count: int) -> TaskSet:
+    """Returns `count` tasks of a family spread evenly over its range.
+
+    Raises:
+      UsageError: it has no range, or one of them is no task of the family.
+    """
+    source = f"{family.name}: spread_tasks({count})"
+    with user_code(f"{source} fails", source_file(type(family))):
+        tasks = family.spread_tasks(count)
+    if not isinstance(tasks, TaskSet) or len(tasks) != count:
+        raise UsageError(f"{source} must return a task_set(…) of {count} tasks")
+    for task in tasks.tasks:
+        check_task(task, family.training_tasks().tasks[0], source)
+    return tasks
 
 
 def _from_file(path: str, class_name: str) -> type[Family]:

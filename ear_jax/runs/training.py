@@ -15,7 +15,7 @@ from ear_jax.agents import Agent
 from ear_jax.agents.equivariant import equivariant
 from ear_jax.agents.networks import Params
 from ear_jax.config import Config
-from ear_jax.envs import Family, find_task, make_family
+from ear_jax.envs import Family, find_task, make_family, spread_tasks
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
 from ear_jax.errors import UsageError
 from ear_jax.learning.batch import drawn_tasks
@@ -126,7 +126,7 @@ def _family(config: Config) -> Family:
 def _tasks(config: Config, family: Family) -> TaskSet:
     if config.tasks:
         return task_set([find_task(family, name) for name in config.tasks])
-    return family.spread_tasks(config.task_count) if config.task_count else family.training_tasks()
+    return spread_tasks(family, config.task_count) if config.task_count else family.training_tasks()
 
 
 def _learner(config: Config, family: Family, tasks: TaskSet) -> Learner:

@@ -217,6 +217,25 @@ def test_a_word_that_becomes_no_task(parse_task, complaint, monkeypatch, run_dir
 
 
 @pytest.mark.parametrize(
+    ("spread", "complaint"),
+    [
+        (lambda self, count: 1 / 0, r"^bandit: spread_tasks\(3\) fails: ZeroDivisionError"),
+        (lambda self, count: [1, 2, 3], r"^bandit: spread_tasks\(3\) must return a task_set\(…\) of 3 tasks"),
+        (
+            lambda self, count: task_set([Task(str(number), 1.0, {"speed": 1.0}) for number in range(count)]),
+            r"^bandit: spread_tasks\(3\): tasks 'task-0' and '0' have different numbers",
+        ),
+    ],
+)
+def test_tasks_that_cannot_be_spread(spread, complaint, monkeypatch, run_directory):
+    parts = {"spread_tasks": spread, "training_tasks": tasks_of({"action": 0.5})}
+    monkeypatch.setitem(FAMILIES, "bandit", type("Broken", (Bandit,), parts))
+    with pytest.raises(UsageError, match=complaint):
+        train_run(tiny_config(family="bandit", tasks=(), task_count=3), run_directory)
+    assert not run_directory.exists()
+
+
+@pytest.mark.parametrize(
     ("actuator", "line"),
     [
         (
