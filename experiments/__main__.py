@@ -19,6 +19,7 @@ from ear_jax.process.terminal import say
 from experiments.inventory import is_trained, jobs, missing, side_by_side
 from experiments.paper import EXPERIMENTS
 from experiments.reproduce import complete_all, complete_on_ray, keep, plan
+from experiments.sitting import plan_sitting, script, timed_runs
 
 PROGRAM = "python -m experiments"
 
@@ -49,7 +50,7 @@ class ReproduceCommand:
     seeds: int | None = None
     """Seeds of each run; by default the paper's number, or one for a picture."""
     minutes: float | None = None
-    """Stop each run after this much wall time; by default after the preset's epochs."""
+    """Stop each run after this much wall time, by default after the preset's epochs; with --plan, of the sitting."""
     together: bool = False
     """Train the missing seeds of a method side by side, as one run; on an accelerator this takes little more time."""
     only: str | None = None
@@ -60,6 +61,8 @@ class ReproduceCommand:
     """Cores of each run on a Ray cluster without GPUs; with GPUs each run has one."""
     dry_run: bool = False
     """Only print the commands."""
+    plan: bool = False
+    """Print a shell script of the missing runs that fit into --minutes at an accelerator, seeds side by side."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,9 @@ def reproduce(words: list[str]) -> None:
     check_least(command, cores=1)
     if command.id not in EXPERIMENTS:
         raise unknown("table or figure", command.id, EXPERIMENTS)
+    if command.plan:
+        print_plan(command)
+        return
     wanted = jobs(EXPERIMENTS[command.id], command.preset, command.seeds, command.minutes)
     wanted = side_by_side(wanted) if command.together else wanted
     if command.only is not None:
@@ -113,6 +119,18 @@ def reproduce(words: list[str]) -> None:
         complete_on_ray(wanted, ["reproduce", command.id, "--preset", command.preset, *options], command.cores)
     complete_all(wanted)
     say(f"{command.id} is complete: {len(wanted)} runs")
+
+
+def print_plan(command: ReproduceCommand) -> None:
+    """Prints the sitting that a command asks for."""
+    if command.minutes is None:
+        raise UsageError("--plan needs --minutes, the length of the sitting")
+    timed = timed_runs()
+    wanted = side_by_side(jobs(EXPERIMENTS[command.id], command.preset, command.seeds))
+    words = [*PROGRAM.split(), "reproduce", command.id, "--preset", command.preset, "--together"]
+    words += ["--seeds", str(command.seeds)] if command.seeds else []
+    sitting = plan_sitting(wanted, command.minutes, timed)
+    print("\n".join(script(sitting, words, [run.accelerator for run in timed])))
 
 
 def check_seeds(seeds: int | None) -> None:

@@ -1,0 +1,128 @@
+"""A sitting at an accelerator: the missing runs of a table that fit into some minutes, as a shell script.
+
+A run takes as long as the most similar one that is recorded from an accelerator, for as many updates. Imports no JAX.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+from ear_jax.config import Config, from_dict
+from ear_jax.errors import UsageError
+from ear_jax.runs import records
+from experiments import inventory
+from experiments.inventory import Job, is_complete, missing
+
+ANALYSIS = 40.0  # seconds, most of them to compile
+MORE_SEEDS = (
+    0.05  # share of a run's time that each further seed beside it takes; sixteen cost half as much again as five
+)
+FILE_MIB, FILES = 16, 8  # what comes back from a sitting
+RECORD_MIB = 2.0  # of one seed, at most
+
+
+@dataclass(frozen=True)
+class Timed:
+    """A run that is recorded from an accelerator."""
+
+    config: Config
+    accelerator: str
+    seconds: float
+    epochs: int
+
+
+@dataclass(frozen=True)
+class Sitting:
+    """The runs of a sitting in order, and those that are left for another, with the seconds of each."""
+
+    minutes: float
+    fits: Sequence[tuple[Job, float]]
+    left: Sequence[tuple[Job, float | None]]  # None: nothing like it is recorded from an accelerator
+
+    @property
+    def seconds(self) -> float:
+        return sum(seconds for _, seconds in self.fits)
+
+
+def timed_runs() -> list[Timed]:
+    """Returns the records from accelerators."""
+    found = []
+    for path in sorted(inventory.RECORDS.glob("[!.]*/config.json")):
+        about, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
+        if rows and (accelerator := about["machine"].get("accelerator")):
+            found.append(Timed(from_dict(about["config"]), accelerator, rows[-1]["seconds"], rows[-1]["epoch"]))
+    return found
+
+
+def seconds_of(job: Job, timed: Sequence[Timed]) -> float | None:
+    """Estimates how long a job takes on an accelerator, with its analyses; None if nothing like it was timed.
+
+    The most similar run has the same family and agent, or else the same family, or else it is the slowest of all.
+    """
+    config = job.config
+    like = [run for run in timed if run.config.sac.updates == config.sac.updates]
+    if not like:
+        return None
+    same = [run for run in like if run.config.family == config.family]
+    nearest = [run for run in same if run.config.agent == config.agent] or same or like
+    slowest = max(nearest, key=lambda run: run.seconds / run.epochs)
+    more = max(0, config.seeds - slowest.config.seeds)
+    training = slowest.seconds / slowest.epochs * config.epochs * (1 + MORE_SEEDS * more)
+    return training + ANALYSIS * len(missing(job))
+
+
+def plan_sitting(jobs: Sequence[Job], minutes: float, timed: Sequence[Timed]) -> Sitting:
+    """Chooses the jobs of a sitting: those that take least time for each seed come first.
+
+    Raises:
+      UsageError: no job is missing, or none fits.
+    """
+    lacking = [(job, seconds_of(job, timed)) for job in jobs if not is_complete(job)]
+    known = [(job, seconds) for job, seconds in lacking if seconds is not None]
+    if not known:
+        raise UsageError("no run is missing whose like is recorded from an accelerator; there is nothing to plan")
+    fits: list[tuple[Job, float]] = []
+    for job, seconds in sorted(known, key=lambda one: one[1] / one[0].config.seeds):
+        size = RECORD_MIB * sum(other.config.seeds for other in (job, *(done for done, _ in fits)))
+        if seconds + sum(spent for _, spent in fits) <= 60 * minutes and size <= FILE_MIB * FILES:
+            fits.append((job, seconds))
+    if not fits:
+        shortest = min(seconds for _, seconds in known)
+        raise UsageError(f"--minutes {minutes:g} is too short; the shortest run takes about {shortest / 60:.1f}")
+    chosen = [job for job, _ in fits]
+    return Sitting(minutes, fits, [(job, seconds) for job, seconds in lacking if job not in chosen])
+
+
+def script(sitting: Sitting, words: Sequence[str], accelerators: Sequence[str]) -> list[str]:
+    """Returns the lines of a shell script: a command for each run, and the archives of their records.
+
+    Args:
+      sitting: the plan.
+      words: the command `python -m experiments reproduce …`, to which each run is added.
+      accelerators: names of those that the times are from.
+    """
+    lines = [
+        f"# {sitting.seconds / 60:.1f} of {sitting.minutes:g} minutes, as long as such runs took on "
+        f"{', '.join(dict.fromkeys(accelerators))}."
+    ]
+    lines += [
+        f"{shlex.join([*words, '--only', job.name])}  # about {seconds / 60:.1f} minutes"
+        for job, seconds in sitting.fits
+    ]
+    archives: list[list[Job]] = [[]]
+    for job, _ in sitting.fits:
+        if archives[-1] and RECORD_MIB * sum(one.config.seeds for one in (*archives[-1], job)) > FILE_MIB:
+            archives.append([])
+        archives[-1].append(job)
+    for number, archive in zip(count(1), archives, strict=False):
+        names = shlex.join(job.name for job in archive)
+        size = RECORD_MIB * sum(job.config.seeds for job in archive)
+        lines.append(f"tar czf records-{number}.tar.gz -C experiments/records {names}  # at most {size:.0f} MiB")
+    return lines + [f"# Left: {job.name}, {_length(seconds)}." for job, seconds in sitting.left]
+
+
+def _length(seconds: float | None) -> str:
+    return "of which no like was timed" if seconds is None else f"about {seconds / 60:.1f} minutes"
