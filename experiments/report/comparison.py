@@ -54,6 +54,8 @@ WHY = (
     "Run-Jump: in the paper the jump is the height of the hind foot while running backward; in the code it is the "
     "height of the torso while running forward. We follow the paper.",
     "MHMT-SAC: the authors' code ignores terminations for this agent alone. Here they end the value for all agents.",
+    "MHMT-SAC on the hopper: it takes the lesser of its two critics. The mean of them, which EAR-SAC has there, makes "
+    "MHMT-SAC overestimate; runs with it are those of an earlier recipe.",
     "Metaworld-Reach: the paper gives neither its goals nor a number. Our ten goals lie on an ellipse in Meta-World's "
     "box of goals.",
     "Policy loss: the released code adds 0.001 times the mean squares of the means and log standard deviations, and "
