@@ -14,8 +14,9 @@ from experiments.paper import CHEETAH
 from experiments.report import markdown, page, readme
 from experiments.report.blocks import Block
 from experiments.report.comparison import comparison
+from experiments.report.glance import glance
 from experiments.report.run_index import RunIndex
-from experiments.report.sections import all_runs, all_sections
+from experiments.report.sections import all_runs, first_figures, other_sections
 
 TITLE = "Emergent action representations: the paper's tables and figures, and ours"
 
@@ -56,17 +57,22 @@ def write(index: RunIndex, out: Path) -> Sequence[Path]:
         raise UsageError(f"--out {out} cannot be a directory: it, or a parent of it, is a file")
     try:
         out.mkdir(parents=True, exist_ok=True)
-        sections = [comparison(index), *all_sections(index, out), all_runs(index)]
+        sections = [
+            *first_figures(index, out),
+            comparison(index),
+            *other_sections(index, out),
+            all_runs(index),
+        ]
         paths = out / "index.html", out / "tables.md"
         for path, render in zip(paths, (page.page, markdown.document), strict=True):
-            write_text(path, render(TITLE, lead(index), sections))
+            write_text(path, render(TITLE, [*glance(index, out), *lead(index)], sections))
     except OSError as error:
         raise RunError(f"cannot write the report to {out}: {error.strerror}") from None
     return paths
 
 
 def lead(index: RunIndex) -> list[Block]:
-    """Returns the explanation at the top of the report."""
+    """Returns the explanation below the verdicts."""
     return [
         f"Our results are the runs of preset `{index.preset}` in `experiments/records`; this page trains and plays "
         "nothing. The paper is Simple Emergent Action Representations from Multi-Task Policy Training (arXiv "

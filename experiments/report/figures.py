@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ear_jax.figures.style import STYLE, legend_below, look, save_figure
+from ear_jax.figures.style import COLOURS, STYLE, legend_below, look, save_figure
 from ear_jax.files.replacing import folder
 from experiments.report.run_index import Run
 
@@ -112,3 +112,22 @@ def _steps_a_task(run: Run, key: str) -> float:
     """Returns the env steps that adaptation played for each task. The steps of the map are shared by all tasks."""
     document = run.document("adaptation") or {}
     return document.get(key, 0) / len(document["tasks"])
+
+
+def returns_beside(axes: Axes, title: str, rows: Sequence[tuple[str, list[float], dict[str, float] | None]]) -> None:
+    """Draws a row for each method: our seeds and their mean, and below them the paper's mean and standard deviation.
+
+    Args:
+      axes: the axes to draw on.
+      title: the title.
+      rows: for each method its name, the returns of our seeds and `mean` and `std` of the paper, if it has them.
+    """
+    for place, (_, ours, paper) in enumerate(rows):
+        dot = {"color": COLOURS[0], "marker": "o", "linestyle": "none", "markersize": 5}
+        axes.plot(ours, [place - 0.12] * len(ours), **dot, fillstyle="none")
+        axes.plot([np.mean(ours)] if ours else [], [place - 0.12][: len(ours)], **dot)
+        if paper:
+            bar = {"color": COLOURS[1], "fmt": "D", "markersize": 4, "capsize": 2}
+            axes.errorbar(paper["mean"], place + 0.16, xerr=paper["std"], **bar)
+    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
+    axes.set(xlabel="return of an episode", title=title, ylim=(len(rows) - 0.5, -0.5))

@@ -34,7 +34,7 @@ td { white-space: nowrap; }
 td code { white-space: nowrap; }
 thead th { background: var(--soft); font-weight: 600; vertical-align: bottom; }
 tbody tr:last-child > * { border-bottom: 0; }
-tbody th { font-weight: 500; min-width: 6rem; }
+tbody th { font-weight: 500; min-width: 9.5rem; }
 .caption { margin: 1.2rem 0 .2rem; font-size: .92rem; }
 figure { margin: 1.2rem 0; }
 .scroll { overflow-x: auto; }

@@ -54,6 +54,8 @@ FIGURES: dict[str, Callable[[str, RunIndex, Path], list[Block]]] = {
     "figure-9": pictures.each_task,
 }
 
+FIRST = ("figure-3", "figure-7", "figure-2", "figure-5", "figure-4")
+
 
 def section(experiment: Experiment, index: RunIndex, out: Path) -> Section:
     """Builds the section of one table or figure; draws its pictures into `out`/figures."""
@@ -143,5 +145,11 @@ def all_runs(index: RunIndex) -> Section:
     return Section("runs", "Runs", blocks)
 
 
-def all_sections(index: RunIndex, out: Path) -> list[Section]:
-    return [section(experiment, index, out) for experiment in EXPERIMENTS.values()]
+def first_figures(index: RunIndex, out: Path) -> list[Section]:
+    """Builds the figures that a reader wants first."""
+    return [section(EXPERIMENTS[id], index, out) for id in FIRST]
+
+
+def other_sections(index: RunIndex, out: Path) -> list[Section]:
+    """Builds all other tables and figures, in the paper's order, and ours after them."""
+    return [section(experiment, index, out) for id, experiment in EXPERIMENTS.items() if id not in FIRST]

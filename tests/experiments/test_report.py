@@ -15,6 +15,7 @@ from ear_jax.runs import records, safetensors
 from experiments.inventory import POLICY
 from experiments.report import comparison, measures, tables
 from experiments.report.blocks import Section, Table
+from experiments.report.glance import glance
 from experiments.report.run_index import RunIndex
 from tests.helpers.fake_records import SPEEDS, add, add_pairs, cells, record, section
 
@@ -257,3 +258,23 @@ def test_a_goal_is_reached_within_five_centimetres(place):
     ]
     add(directory, "evaluation", seeds=[{"seed": 0, "tasks": found}])
     assert "| EAR-SAC | 1 of 2 | 5.5 | 6.0 |" in section("reach", place / "out")
+
+
+def test_the_report_opens_with_verdicts_and_a_picture_of_all_returns(place):
+    record(level=-140)
+    record(level=-142, seed=1)
+    add_pairs(record(agent="ear", seed=2, level=-141), 2, 9)
+    record(agent="maml", level=-700)
+    verdicts, picture = glance(RunIndex("fast"), place / "out")
+    rows = {name: cells for name, *cells in verdicts.rows}
+    assert rows["EAR-SAC"] == ["✓ −136.5 ± 1.0 (3) / −136.9", "—", "—", "—"]
+    assert rows["EAR-SAC, refined"] == ["—"] * 4
+    assert rows["Blends: midway"][0] == "✓ 9 of 9 (1) / 26 of 27"
+    assert rows["Blends: between"][0] == "✗ 8 of 9 (1) / 25 of 27"
+    assert rows["MAML"][0] == "✗ −695.5 (1) / −500.9"
+    assert (place / "out" / picture.file).read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_records_there_is_no_verdict(place):
+    (verdicts,) = glance(RunIndex("fast"), place / "out")
+    assert all(set(cells) == {"—"} for _, *cells in verdicts.rows)

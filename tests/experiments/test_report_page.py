@@ -178,7 +178,7 @@ def test_extrapolation_composition_and_all_pictures(place):
     write(RunIndex("fast"), place / "out")
     shown = {str(image["src"]) for image in check_page(place / "out").images}
     assert shown == {
-        *(f"figures/{name}.png" for name in ("figure-2", "figure-5", "figure-8", "figure-9-seed0")),
+        *(f"figures/{name}.png" for name in ("returns", "figure-2", "figure-5", "figure-8", "figure-9-seed0")),
         *(
             f"figures/{name}.png"
             for name in ("sphere_seed0", "map_seed0", "lse_seed0", "compose_back-1_to_jump-1_seed0")

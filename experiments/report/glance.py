@@ -1,0 +1,103 @@
+"""The top of the report: a verdict on each claim of the paper, and all returns in one picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from experiments.paper import ANT, EQUIVARIANT, FAMILIES, INTERPOLATION, REFINED_INTERPOLATION
+from experiments.report.blocks import Block, Picture, Table
+from experiments.report.comparison import is_level
+from experiments.report.figures import draw_panels, returns_beside
+from experiments.report.formatting import MISSING, NAMES, number, printed, spread
+from experiments.report.measures import mean_return, paper_counts, paper_return, refinements, successes
+from experiments.report.pictures import FOLDER
+from experiments.report.run_index import Run, RunIndex
+
+BASELINES = ("multihead", "onehot", "pearl", "maml")
+REFINED = "EAR-SAC, refined"
+BLENDS = {"Blends: midway": "mid_task", "Blends: between": "one_to_one"}
+
+
+def glance(index: RunIndex, out: Path) -> list[Block]:
+    """Returns the table of verdicts, and the picture of returns, which is drawn into `out`/figures."""
+    return [_verdicts(index), *_picture(index, out)]
+
+
+def _ear(index: RunIndex, family: str) -> list[Run]:
+    """Returns the runs of EAR on a family; for the ant those that turn with it, if there are any."""
+    turning = index.runs(family, variant=EQUIVARIANT) if family == ANT else []
+    return turning or index.runs(family)
+
+
+def _returns(index: RunIndex, family: str) -> dict[str, list[float]]:
+    """Returns what each seed of each method returns, by the method's name; empty lists where nothing is recorded."""
+    ear = _ear(index, family)
+    others = {NAMES[agent]: list(map(mean_return, index.runs(family, agent))) for agent in BASELINES}
+    refined = [entry["after"] for entry in refinements(ear)]
+    return {NAMES["ear"]: list(map(mean_return, ear)), REFINED: refined, **others}
+
+
+def _paper(family: str, method: str) -> dict[str, float] | None:
+    agents = {NAMES[agent]: agent for agent in ("ear", *BASELINES)} | {REFINED: "ear"}
+    return paper_return(family, agents[method])
+
+
+def _verdicts(index: RunIndex) -> Table:
+    returns = {family: _returns(index, family) for family in FAMILIES}
+    rows = [
+        [method, *(_of_returns(returns[family][method], _paper(family, method)) for family in FAMILIES)]
+        for method in returns[FAMILIES[0]]
+    ]
+    rows[2:2] = [
+        [name, *(_of_blends(_ear(index, family), family, measure) for family in FAMILIES)]
+        for name, measure in BLENDS.items()
+    ]
+    caption = (
+        "✓: level with the paper, ✗: short of it. Ours / the paper's. In brackets: our seeds; the paper has 3. Returns "
+        "are means over the training tasks. Blends: pairs of neighbouring tasks for which some blend meets the value "
+        "midway, or the one at β = ½ lies between the two, after refining where we refined. The ant is the equivariant "
+        "one."
+    )
+    return Table(caption, ("", *(NAMES[family] for family in FAMILIES)), rows)
+
+
+def _of_returns(ours: Sequence[float], paper: dict[str, float] | None) -> str:
+    if not ours or not paper:
+        return MISSING
+    return f"{_mark(is_level(ours, paper))} {spread(ours)} ({len(ours)}) / {number(paper['mean'])}"
+
+
+def _of_blends(runs: list[Run], family: str, measure: str) -> str:
+    counted = successes(runs, measure, REFINED_INTERPOLATION.name) or successes(runs, measure, INTERPOLATION.name)
+    theirs = paper_counts(family, measure)
+    if not counted or not theirs:
+        return MISSING
+    level = counted.number * theirs["total"] >= theirs["success"] * counted.total
+    return f"{_mark(level)} {counted} ({len(counted.seeds)}) / {printed(theirs)}"
+
+
+def _mark(level: bool) -> str:
+    return "✓" if level else "✗"
+
+
+def _picture(index: RunIndex, out: Path) -> list[Block]:
+    returns = {family: _returns(index, family) for family in FAMILIES}
+    panels = [
+        partial(
+            returns_beside,
+            title=NAMES[family],
+            rows=[(method, ours, _paper(family, method)) for method, ours in by_method.items()],
+        )
+        for family, by_method in returns.items()
+        if any(by_method.values())
+    ]
+    if not panels:
+        return []
+    draw_panels(out / FOLDER / "returns.png", panels)
+    caption = (
+        "Mean return over the training tasks. Dots: our seeds, filled: their mean. Diamonds: the paper, ± its standard "
+        "deviation."
+    )
+    return [Picture(f"{FOLDER}/returns.png", caption)]
