@@ -50,7 +50,7 @@ HEADLINE, RESULTS = "headline", "results"  # the names of the markers
 SHOWN = (*FAMILIES, RUN_JUMP, REACH)
 BLENDED = ("fresh", "mid_task", "one_to_one")
 COUNTED = ("again", "midway", "between")  # the same in the tables' heads
-COLUMNS = ("family", "return", "refined", "paper's return", *COUNTED, "seeds", "minutes a seed")
+COLUMNS = ("family", "return", "refined", "paper's return", *COUNTED, "seeds", "minutes a seed", "`ear train`")
 DETAILED_COLUMNS = ("family", "return", "paper's return", *COUNTED, "error from a map", "minutes a seed")
 
 
@@ -101,7 +101,8 @@ def results(index: RunIndex) -> str:
         if runs:
             name, returned = NAMES[family] + VARIANTS[variant], spread([mean_return(run) for run in runs])
             blended = [_successes(family, runs, measure, refined=True).replace(" of ", "/") for measure in BLENDED]
-            last = count(len(runs)), _minutes(runs).replace(" to ", "–") or MISSING
+            words = f"`{family}{f' --preset {index.preset}{variant}' if variant else ''}`"
+            last = count(len(runs)), _minutes(runs).replace(" to ", "–") or MISSING, words
             rows.append([name, returned, refined_returns(runs), _paper_return(family), *blended, *last])
     return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{HOW_TO_READ} After an arrow: refined."
 
