@@ -74,7 +74,7 @@ class PearlLearner(SacLearner):
 
     def update(self, state: SacState, buffer: Replay, draws: Any) -> tuple[SacState, Metrics]:
         drawn = replace(self, tasks=jax.tree.map(lambda leaf: leaf[draws.tasks], self.tasks))
-        state, metrics = super(PearlLearner, drawn).update(state, buffer, draws)
+        state, metrics = SacLearner.update(drawn, state, buffer, draws)
         finite = jnp.ones(self.task_count, bool).at[draws.tasks].set(metrics["finite"])
         return state, {**metrics, "finite": finite}
 
