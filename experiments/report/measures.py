@@ -64,9 +64,14 @@ def refined_returns(runs: Sequence[Run]) -> str:
     return f"{spread(before)} → {spread(after)} ({count(len(found))} of {count(len(runs))})"
 
 
-def score_table(runs: Sequence[Run]) -> np.ndarray:
-    """Gives the returns [seeds, tasks] of runs."""
-    return np.array([list(task_returns(run).values()) for run in runs])
+def shared_tasks(runs: Sequence[Run]) -> list[str]:
+    """Returns the names of the tasks that all runs have; PEARL and MAML have more than the others."""
+    return [name for name in task_returns(runs[0]) if all(name in task_returns(run) for run in runs[1:])]
+
+
+def score_table(runs: Sequence[Run], tasks: Sequence[str]) -> np.ndarray:
+    """Gives the returns [seeds, tasks] of runs on tasks that all of them have."""
+    return np.array([[task_returns(run)[name] for name in tasks] for run in runs])
 
 
 def successes(runs: Sequence[Run], measure: str, document: str = "interpolation") -> Count | None:

@@ -54,6 +54,7 @@ from experiments.report.measures import (
     refinements,
     returns,
     score_table,
+    shared_tasks,
     successes,
     unit,
 )
@@ -190,9 +191,10 @@ def _method_returns(method: Method, runs: list[Run], ear: list[Run]) -> list[str
     cells = [label(method), printed(paper) if paper else MISSING]
     if not runs:
         return [*cells, NO_RUN, *[MISSING] * 6]
-    scores, better = score_table(runs), MISSING
-    if ear and runs != ear:
-        better = interval(probability_of_improvement, score_table(ear), scores, digits=2)
+    scores, better = score_table(runs, shared_tasks(runs)), MISSING
+    if ear and runs != ear and shared_tasks([*ear, *runs]):
+        tasks = shared_tasks([*ear, *runs])
+        better = interval(probability_of_improvement, score_table(ear, tasks), score_table(runs, tasks), digits=2)
     returned = spread([mean_return(run) for run in runs])
     return [*cells, returned, interval(interquartile_mean, scores), better, seeds(runs), *budget(runs)]
 
