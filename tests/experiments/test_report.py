@@ -278,3 +278,17 @@ def test_the_report_opens_with_verdicts_and_a_picture_of_all_returns(place):
 def test_without_records_there_is_no_verdict(place):
     (verdicts,) = glance(RunIndex("fast"), place / "out")
     assert all(set(cells) == {"—"} for _, *cells in verdicts.rows)
+
+
+def test_methods_with_other_numbers_of_tasks_are_compared_on_those_that_both_have(place):
+    for seed in range(2):
+        record(seed=seed, level=-200)
+        tasks = [
+            {"name": f"vel-{number / 2:g}", "return_mean": -100.0 if number % 2 else -400.0} for number in range(1, 21)
+        ]
+        add(
+            record(agent="maml", seed=seed), "evaluation", seeds=[{"seed": seed, "mean_return": -250.0, "tasks": tasks}]
+        )
+    row = cells(section("table-1", place / "out"), "MAML")
+    assert row[2] == "−250.0 ± 0.0"
+    assert row[4] == "1.00 [1.00, 1.00]", "on whole speeds, all of which return −400"
