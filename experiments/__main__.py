@@ -19,7 +19,6 @@ from ear_jax.process.terminal import say
 from experiments.inventory import is_trained, jobs, missing, side_by_side
 from experiments.paper import EXPERIMENTS
 from experiments.reproduce import complete_all, complete_on_ray, keep, plan
-from experiments.sitting import plan_sitting, script, timed_runs
 
 PROGRAM = "python -m experiments"
 
@@ -125,12 +124,14 @@ def print_plan(command: ReproduceCommand) -> None:
     """Prints the sitting that a command asks for."""
     if command.minutes is None:
         raise UsageError("--plan needs --minutes, the length of the sitting")
+    from experiments.sitting import plan_sitting, script, timed_runs  # slow to import: JAX
+
     timed = timed_runs()
     wanted = side_by_side(jobs(EXPERIMENTS[command.id], command.preset, command.seeds))
     words = [*PROGRAM.split(), "reproduce", command.id, "--preset", command.preset, "--together"]
     words += ["--seeds", str(command.seeds)] if command.seeds else []
     sitting = plan_sitting(wanted, command.minutes, timed)
-    print("\n".join(script(sitting, words, [run.accelerator for run in timed])))
+    print("\n".join(script(sitting, words, timed)))
 
 
 def check_seeds(seeds: int | None) -> None:

@@ -1,6 +1,6 @@
 """A sitting at an accelerator: the missing runs of a table that fit into some minutes, as a shell script.
 
-A run takes as long as the most similar one that is recorded from an accelerator, for as many updates. Imports no JAX.
+A run takes as long as the most similar one that is recorded from an accelerator, for as many updates.
 """
 
 from __future__ import annotations
@@ -10,28 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 
-from ear_jax.config import Config, from_dict
 from ear_jax.errors import UsageError
-from ear_jax.runs import records
-from experiments import inventory
 from experiments.inventory import Job, is_complete, missing
+from experiments.report.run_index import Run, recorded_runs
 
 ANALYSIS = 40.0  # seconds, most of them to compile
-MORE_SEEDS = (
-    0.05  # share of a run's time that each further seed beside it takes; sixteen cost half as much again as five
-)
+MORE_SEEDS = 0.05  # of a run's time, for each further seed beside it: sixteen took half as much again as five
 FILE_MIB, FILES = 16, 8  # what comes back from a sitting
 RECORD_MIB = 2.0  # of one seed, at most
-
-
-@dataclass(frozen=True)
-class Timed:
-    """A run that is recorded from an accelerator."""
-
-    config: Config
-    accelerator: str
-    seconds: float
-    epochs: int
 
 
 @dataclass(frozen=True)
@@ -47,17 +33,12 @@ class Sitting:
         return sum(seconds for _, seconds in self.fits)
 
 
-def timed_runs() -> list[Timed]:
-    """Returns the records from accelerators."""
-    found = []
-    for path in sorted(inventory.RECORDS.glob("[!.]*/config.json")):
-        about, rows = records.read_run(path.parent), records.read_rows(path.with_name("metrics.jsonl"))
-        if rows and (accelerator := about["machine"].get("accelerator")):
-            found.append(Timed(from_dict(about["config"]), accelerator, rows[-1]["seconds"], rows[-1]["epoch"]))
-    return found
+def timed_runs() -> list[Run]:
+    """Returns the runs that are recorded from an accelerator; of seeds side by side each counts, and they agree."""
+    return [run for run in recorded_runs() if "accelerator" in run.about["machine"]]
 
 
-def seconds_of(job: Job, timed: Sequence[Timed]) -> float | None:
+def seconds_of(job: Job, timed: Sequence[Run]) -> float | None:
     """Estimates how long a job takes on an accelerator, with its analyses; None if nothing like it was timed.
 
     The most similar run has the same family and agent, or else the same family, or else it is the slowest of all.
@@ -68,13 +49,17 @@ def seconds_of(job: Job, timed: Sequence[Timed]) -> float | None:
         return None
     same = [run for run in like if run.config.family == config.family]
     nearest = [run for run in same if run.config.agent == config.agent] or same or like
-    slowest = max(nearest, key=lambda run: run.seconds / run.epochs)
+    slowest = max(nearest, key=_seconds_an_epoch)
     more = max(0, config.seeds - slowest.config.seeds)
-    training = slowest.seconds / slowest.epochs * config.epochs * (1 + MORE_SEEDS * more)
+    training = _seconds_an_epoch(slowest) * config.epochs * (1 + MORE_SEEDS * more)
     return training + ANALYSIS * len(missing(job))
 
 
-def plan_sitting(jobs: Sequence[Job], minutes: float, timed: Sequence[Timed]) -> Sitting:
+def _seconds_an_epoch(run: Run) -> float:
+    return float(run.last["seconds"] / run.last["epoch"])
+
+
+def plan_sitting(jobs: Sequence[Job], minutes: float, timed: Sequence[Run]) -> Sitting:
     """Chooses the jobs of a sitting: those that take least time for each seed come first.
 
     Raises:
@@ -96,17 +81,17 @@ def plan_sitting(jobs: Sequence[Job], minutes: float, timed: Sequence[Timed]) ->
     return Sitting(minutes, fits, [(job, seconds) for job, seconds in lacking if job not in chosen])
 
 
-def script(sitting: Sitting, words: Sequence[str], accelerators: Sequence[str]) -> list[str]:
+def script(sitting: Sitting, words: Sequence[str], timed: Sequence[Run]) -> list[str]:
     """Returns the lines of a shell script: a command for each run, and the archives of their records.
 
     Args:
       sitting: the plan.
       words: the command `python -m experiments reproduce …`, to which each run is added.
-      accelerators: names of those that the times are from.
+      timed: the runs that the times are from.
     """
     lines = [
         f"# {sitting.seconds / 60:.1f} of {sitting.minutes:g} minutes, as long as such runs took on "
-        f"{', '.join(dict.fromkeys(accelerators))}."
+        f"{', '.join(dict.fromkeys(run.about['machine']['accelerator'] for run in timed))}."
     ]
     lines += [
         f"{shlex.join([*words, '--only', job.name])}  # about {seconds / 60:.1f} minutes"
@@ -125,4 +110,4 @@ def script(sitting: Sitting, words: Sequence[str], accelerators: Sequence[str]) 
 
 
 def _length(seconds: float | None) -> str:
-    return "of which no like was timed" if seconds is None else f"about {seconds / 60:.1f} minutes"
+    return "and nothing like it was timed" if seconds is None else f"about {seconds / 60:.1f} minutes"

@@ -52,8 +52,8 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
         _describe_seed(program, config.seed + index, jax.tree.map(itemgetter(index), played)) for index in range(count)
     ]
     if program.agent.tuned:
-        untuned = jnp.zeros((count, len(program.tasks), program.agent.code_size))
-        shared = jax.device_get(play_all(trained.policies, starts, untuned).returns)
+        untuned = {**trained.policies, "codes": jnp.zeros_like(trained.policies["codes"])}
+        shared = jax.device_get(play_all(untuned, starts).returns)
         seeds = [{**seed, "untuned_return": float(each.mean())} for seed, each in zip(seeds, shared, strict=True)]
     failures = [task["failures"] for seed in seeds for task in seed["tasks"]]
     return {

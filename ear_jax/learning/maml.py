@@ -81,9 +81,12 @@ def divergence(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> j
 
 
 def features(agent: Agent, policy: Params, code: jax.Array, trial: Trial) -> jax.Array:
-    """Returns what half the squared distance from the behaviour's is `divergence` to second order, [steps, …, 2 act].
+    """Returns a policy's distributions in units in which they differ from the behaviour's as `divergence` says.
 
-    That is means in units of σ, and √2 log σ.
+    To second order, the divergence is half the squared distance.
+
+    Returns:
+      Means in units of the behaviour's σ, and √2 log σ, [steps, episodes, 2 act], each step weighted equally.
     """
 
     def of_step(obs: jax.Array, behaviour: Gaussian) -> jax.Array:

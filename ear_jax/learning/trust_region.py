@@ -23,8 +23,8 @@ def improve(
     """Lowers the loss within a limit on the divergence from the start (Schulman et al. 2015, appendix C).
 
     The direction is the natural gradient, by conjugate gradients on the divergence's curvature JᵀJ, where J is the
-    Jacobian of the features at the start. It is linearised once, which takes half the time of differentiating the
-    divergence twice in each of their steps. The step starts at the longest that the limit allows to second order, and
+    Jacobian of the features at the start. Linearising them once is faster than differentiating the divergence twice in
+    each step of conjugate gradients. The step starts at the longest that the limit allows to second order, and
     is shortened until the loss falls and the limit holds.
 
     Args:

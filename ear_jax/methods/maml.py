@@ -73,6 +73,7 @@ _EPISODES: dict[str, Any] = {
 _LESS_NOISE: dict[str, Any] = {"maml": {"gae_lambda": 0.9, "inner_lr": 0.03, "max_divergence": 0.05}}
 _TASKS = {"halfcheetah-vel": 100, "hopper-vel": 40, "walker-vel": 40, "ant-dir": 40}  # the paper's numbers
 _FAMILIES: dict[str, dict[str, Any]] = {family: {"task_count": count} for family, count in _TASKS.items()}
+# On the hopper the return is level after 40 updates, on the walker it is highest after 30 (seed 0 of each).
 _SOON_LEVEL = {family: {**_FAMILIES[family], "epochs": 100} for family in ("hopper-vel", "walker-vel")}
 METHOD = Method(
     "maml",

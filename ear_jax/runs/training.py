@@ -193,12 +193,9 @@ def evaluation_starts(program: Program, key: jax.Array, episodes: int) -> EnvSta
     return starts(program.family, program.tasks.params, key, episodes)
 
 
-def evaluate_from(program: Program, policy: Params, env_states: EnvState, codes: jax.Array | None = None) -> Episodes:
-    """Plays one seed's policy as `evaluate` does, from given starts [tasks, episodes].
-
-    The codes [tasks, code] are the tasks' own by default.
-    """
+def evaluate_from(program: Program, policy: Params, env_states: EnvState) -> Episodes:
+    """Plays one seed's policy as `evaluate` does, from given starts [tasks, episodes]."""
     family, (rows, episodes) = program.family, env_states.steps.shape
     noise = jnp.zeros((family.episode_length, rows, episodes, family.action_size))
-    codes = program.agent.codes(policy) if codes is None else codes
+    codes = program.agent.codes(policy)
     return play_from(family, program.agent, policy, codes, program.tasks.params, env_states, noise)

@@ -26,6 +26,7 @@ from experiments.paper import (
 from experiments.report.blocks import Points, Section
 from experiments.report.formatting import NAMES, VARIANTS, label, number, percent, printed, seeds, spread
 from experiments.report.measures import (
+    Count,
     failed_tasks,
     mean_return,
     paper_budget,
@@ -95,6 +96,11 @@ def is_level(values: Sequence[float], paper: dict[str, float]) -> bool:
     return bool(np.mean(values) >= paper["mean"] - paper["std"])
 
 
+def is_as_often(counted: Count, paper: dict[str, int]) -> bool:
+    """Returns whether at least as large a share of pairs succeeds as in the paper."""
+    return counted.number * paper["total"] >= paper["success"] * counted.total
+
+
 def _verdicts(index: RunIndex, family: str) -> Iterator[Verdict]:
     """Yields verdicts on EAR of a family, and on the one that turns with the robot."""
     for variant in TURNED:
@@ -118,9 +124,8 @@ def _blended(family: str, name: str, runs: list[Run]) -> Iterator[Verdict]:
     for (analysis, when), (measure, words) in product(analyses, MEASURES.items()):
         counted, theirs = successes(runs, measure, analysis.name), paper_counts(family, measure)
         if counted and theirs:
-            as_often = counted.number * theirs["total"] >= theirs["success"] * counted.total
             numbers_of_both = f"{counted} pairs ({seeds(counted.seeds)}); the paper {printed(theirs)}."
-            yield as_often, f"{name}, {words}{when}: {numbers_of_both}"
+            yield is_as_often(counted, theirs), f"{name}, {words}{when}: {numbers_of_both}"
 
 
 def _failed(name: str, runs: list[Run]) -> Iterator[Verdict]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments.paper import ANT, EQUIVARIANT, FAMILIES, INTERPOLATION, REFINED_INTERPOLATION
 from experiments.report.blocks import Block, Picture, Table
-from experiments.report.comparison import is_level
+from experiments.report.comparison import is_as_often, is_level
 from experiments.report.figures import draw_panels, returns_beside
 from experiments.report.formatting import MISSING, NAMES, number, printed, spread
 from experiments.report.measures import mean_return, paper_counts, paper_return, refinements, successes
@@ -74,8 +74,7 @@ def _of_blends(runs: list[Run], family: str, measure: str) -> str:
     theirs = paper_counts(family, measure)
     if not counted or not theirs:
         return MISSING
-    level = counted.number * theirs["total"] >= theirs["success"] * counted.total
-    return f"{_mark(level)} {counted} ({len(counted.seeds)}) / {printed(theirs)}"
+    return f"{_mark(is_as_often(counted, theirs))} {counted} ({len(counted.seeds)}) / {printed(theirs)}"
 
 
 def _mark(level: bool) -> str:

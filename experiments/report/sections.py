@@ -54,6 +54,7 @@ FIGURES: dict[str, Callable[[str, RunIndex, Path], list[Block]]] = {
     "figure-9": pictures.each_task,
 }
 
+# What a policy does between tasks, where that is on its sphere, how it was learnt, new tasks, and composition.
 FIRST = ("figure-3", "figure-7", "figure-2", "figure-5", "figure-4")
 
 

@@ -67,7 +67,7 @@ def test_what_costs_least_for_a_seed_comes_first_and_what_is_there_not_at_all():
 def test_records_come_back_in_files_that_are_small_enough():
     timed(4, "halfcheetah-vel")
     wanted = [job(family, "onehot", seeds=5) for family in ("halfcheetah-vel", "hopper-vel", "walker-vel")]
-    lines = script(plan_sitting(wanted, 30, timed_runs()), ["python", "x"], ["TPU v9"])
+    lines = script(plan_sitting(wanted, 30, timed_runs()), ["python", "x"], timed_runs())
     assert "of 30 minutes, as long as such runs took on TPU v9." in lines[0]
     assert lines[1].startswith("python x --only halfcheetah-vel-onehot-fast-seeds0-4  # about 0.7 minutes")
     names = [f"{family}-vel-onehot-fast-seeds0-4" for family in ("halfcheetah", "hopper", "walker")]

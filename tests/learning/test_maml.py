@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from ear_jax.agents.networks import Params
 from ear_jax.agents.tanh_gaussian import Gaussian
 from ear_jax.errors import UsageError
 from ear_jax.learning import maml
@@ -18,8 +19,9 @@ from ear_jax.learning.maml import MamlLearner, MamlState, Trial, Trials
 from ear_jax.learning.trust_region import improve
 from ear_jax.methods import Sizes, find_method, make_agent
 from ear_jax.presets import preset_config
+from ear_jax.runs.training import Program
 from tests.helpers.bandit import bandit_program
-from tests.helpers.probe import Point
+from tests.helpers.probe import Bandit, Point
 from tests.runs.test_failure import Poisoned
 
 
@@ -94,12 +96,17 @@ def test_a_step_too_long_for_the_loss_is_shortened_and_none_is_taken_at_a_minimu
     assert float(metrics["step"]) == 0
 
 
+def bandit_learner(envs: int, steps: int, kind: type[Bandit] = Bandit) -> tuple[Program, MamlLearner, Params]:
+    """Returns a bandit's program, its learner with other episodes, and an untrained policy."""
+    program = bandit_program("maml", kind)
+    config = replace(program.config, collect=replace(program.config.collect, envs=envs, steps=steps))
+    learner = replace(program.learner, config=config)
+    return program, learner, learner.init(jax.random.key(0)).policy
+
+
 def test_half_the_squared_distance_of_features_curves_as_the_divergence():
     """The Hessian of the divergence in the code, at the code that the trial was played under, is JᵀJ."""
-    program = bandit_program("maml")
-    config = replace(program.config, collect=replace(program.config.collect, envs=3, steps=4))
-    learner = replace(program.learner, config=config)
-    policy = learner.init(jax.random.key(0)).policy
+    program, learner, policy = bandit_learner(envs=3, steps=4)
     trials, _, _ = jax.jit(learner.play)(policy, policy["codes"], program.tasks.params, jax.random.key(1))
     trial, origin = jax.tree.map(lambda leaf: leaf[0], trials), policy["codes"][0]
     along = jax.random.normal(jax.random.key(2), origin.shape)
@@ -132,10 +139,7 @@ def test_tuning_follows_the_policy_gradient_of_a_task_alone():
 
 def test_a_trial_is_the_first_episode_of_each_environment():
     """The bandit's episode lasts one step."""
-    program = bandit_program("maml")
-    config = replace(program.config, collect=replace(program.config.collect, envs=3, steps=4))
-    learner = replace(program.learner, config=config)
-    policy = learner.init(jax.random.key(0)).policy
+    program, learner, policy = bandit_learner(envs=3, steps=4)
     trials, returns, invalid = jax.jit(learner.play)(policy, policy["codes"], program.tasks.params, jax.random.key(1))
     np.testing.assert_array_equal(trials.valid, [[[True] * 3, [False] * 3]] * 2)
     action = jnp.tanh(trials.raw[:, 0, :, 0])
@@ -173,10 +177,7 @@ class Breaks(Poisoned):
 
 
 def test_an_episode_that_breaks_counts_until_then_and_spoils_nothing():
-    program = bandit_program("maml", Breaks)
-    config = replace(program.config, collect=replace(program.config.collect, envs=6, steps=8))
-    learner = replace(program.learner, config=config)
-    policy = learner.init(jax.random.key(0)).policy
+    program, learner, policy = bandit_learner(envs=6, steps=8, kind=Breaks)
 
     @jax.jit
     def tuned(key: jax.Array) -> tuple[Trial, jax.Array, jax.Array, jax.Array]:
