@@ -206,8 +206,10 @@ OURS = (
     ),
     Experiment(
         "refined",
-        "EAR refined by PPO",
-        methods((CHEETAH, HOPPER, WALKER), *REFINING) + methods((ANT,), *REFINING, variants=(EQUIVARIANT,)),
+        "EAR and MHMT refined by PPO",
+        methods((CHEETAH, HOPPER, WALKER), *REFINING)
+        + methods((ANT,), *REFINING, variants=(EQUIVARIANT,))
+        + methods(FAMILIES, EVALUATION, REFINEMENT, REFINED_EVALUATION, agents=("multihead",)),
     ),
     Experiment("space", "how good EAR's spaces of LTEs are"),
     Experiment(

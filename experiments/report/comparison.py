@@ -106,17 +106,18 @@ def _verdicts(index: RunIndex, family: str) -> Iterator[Verdict]:
     for variant in TURNED:
         runs, name = index.runs(family, variant=variant), NAMES[family] + VARIANTS[variant]
         if runs:
-            yield from _returned(family, name, runs)
+            yield from _returned(name, runs)
             yield from _blended(family, name, runs)
             yield from _failed(name, runs) if family == ANT else ()
 
 
-def _returned(family: str, name: str, runs: list[Run]) -> Iterator[Verdict]:
-    paper, refined = paper_return(family, "ear"), [entry["after"] for entry in refinements(runs)]
+def _returned(name: str, runs: list[Run]) -> Iterator[Verdict]:
+    """Yields verdicts on the returns of a method on a family, as trained and as refined, where the paper has it."""
+    paper = paper_return(runs[0].config.family, runs[0].config.agent) if runs else None
     if paper:
         yield _return_verdict(f"{name}, return", [mean_return(run) for run in runs], paper)
-    if paper and refined:
-        yield _return_verdict(f"{name}, return after `ear refine`", refined, paper)
+        if refined := [entry["after"] for entry in refinements(runs)]:
+            yield _return_verdict(f"{name}, return after `ear refine`", refined, paper)
 
 
 def _blended(family: str, name: str, runs: list[Run]) -> Iterator[Verdict]:
@@ -136,12 +137,10 @@ def _failed(name: str, runs: list[Run]) -> Iterator[Verdict]:
 
 
 def _baselines(index: RunIndex) -> Iterator[Verdict]:
-    """Yields a verdict on each other method that has runs and a row in the paper."""
+    """Yields verdicts on each other method that has runs and a row in the paper."""
     for method in EXPERIMENTS["table-1"].methods:
-        runs, paper = index.of(method), paper_return(method.family, method.agent)
-        if method.agent != "ear" and runs and paper:
-            values = [mean_return(run) for run in runs]
-            yield _return_verdict(f"{NAMES[method.family]}, {label(method)}, return", values, paper)
+        if method.agent != "ear":
+            yield from _returned(f"{NAMES[method.family]}, {label(method)}", index.of(method))
 
 
 def _return_verdict(what: str, values: Sequence[float], paper: dict[str, float]) -> Verdict:

@@ -15,8 +15,8 @@ from experiments.report.measures import mean_return, paper_counts, paper_return,
 from experiments.report.pictures import FOLDER
 from experiments.report.run_index import Run, RunIndex
 
-BASELINES = ("multihead", "onehot", "pearl", "maml")
-REFINED = "EAR-SAC, refined"
+AGENTS = ("ear", "multihead", "onehot", "pearl", "maml")
+REFINED = {agent: f"{NAMES[agent]}, refined" for agent in ("ear", "multihead")}
 BLENDS = {"Blends: midway": "mid_task", "Blends: between": "one_to_one"}
 
 
@@ -25,22 +25,25 @@ def glance(index: RunIndex, out: Path) -> list[Block]:
     return [_verdicts(index), *_picture(index, out)]
 
 
-def _ear(index: RunIndex, family: str) -> list[Run]:
-    """Returns the runs of EAR on a family; for the ant those that turn with it, if there are any."""
-    turning = index.runs(family, variant=EQUIVARIANT) if family == ANT else []
-    return turning or index.runs(family)
+def _runs(index: RunIndex, family: str, agent: str) -> list[Run]:
+    """Returns the runs of a method on a family; EAR's on the ant are those that turn with it, if there are any."""
+    turning = index.runs(family, variant=EQUIVARIANT) if (family, agent) == (ANT, "ear") else []
+    return turning or index.runs(family, agent)
 
 
 def _returns(index: RunIndex, family: str) -> dict[str, list[float]]:
     """Returns what each seed of each method returns, by the method's name; empty lists where nothing is recorded."""
-    ear = _ear(index, family)
-    others = {NAMES[agent]: list(map(mean_return, index.runs(family, agent))) for agent in BASELINES}
-    refined = [entry["after"] for entry in refinements(ear)]
-    return {NAMES["ear"]: list(map(mean_return, ear)), REFINED: refined, **others}
+    returns = {}
+    for agent in AGENTS:
+        runs = _runs(index, family, agent)
+        returns[NAMES[agent]] = list(map(mean_return, runs))
+        if agent in REFINED:
+            returns[REFINED[agent]] = [entry["after"] for entry in refinements(runs)]
+    return returns
 
 
 def _paper(family: str, method: str) -> dict[str, float] | None:
-    agents = {NAMES[agent]: agent for agent in ("ear", *BASELINES)} | {REFINED: "ear"}
+    agents = {NAMES[agent]: agent for agent in AGENTS} | {name: agent for agent, name in REFINED.items()}
     return paper_return(family, agents[method])
 
 
@@ -51,7 +54,7 @@ def _verdicts(index: RunIndex) -> Table:
         for method in returns[FAMILIES[0]]
     ]
     rows[2:2] = [
-        [name, *(_of_blends(_ear(index, family), family, measure) for family in FAMILIES)]
+        [name, *(_of_blends(_runs(index, family, "ear"), family, measure) for family in FAMILIES)]
         for name, measure in BLENDS.items()
     ]
     caption = (

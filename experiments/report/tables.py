@@ -27,7 +27,6 @@ from experiments.report.formatting import (
     MISSING,
     NAMES,
     NO_RUN,
-    VARIANTS,
     count,
     interval,
     label,
@@ -111,13 +110,13 @@ def variants(id: str, index: RunIndex) -> list[Block]:
 
 
 def refined(index: RunIndex) -> list[Block]:
-    """Returns a table of our own: every family before and after `ear refine`."""
+    """Returns a table of our own: EAR-SAC and MHMT-SAC on every family, before and after `ear refine`."""
     rows, notes = [], ""
     for method in EXPERIMENTS["refined"].methods:
         runs = [run for run in index.of(method) if refinements([run])]
         found, paper = refinements(runs), paper_return(method.family, method.agent)
         before = spread([entry["before"] for entry in found]) if found else MISSING
-        blended = [" → ".join(str(successes(runs, measure, of) or MISSING) for of in BLENDS) for measure in MEASURES]
+        blended = [_before_and_after(runs, measure) for measure in MEASURES]
         told = [run.document(REFINEMENT.name) for run in runs]
         steps = [count(one["env_steps"]) for one in told[:1]]
         cells = (
@@ -128,16 +127,22 @@ def refined(index: RunIndex) -> list[Block]:
             seeds(runs),
             *(steps or [MISSING]),
         )
-        name = NAMES[method.family] + VARIANTS[method.variant]
-        rows.append([name, *cells])
+        name = (NAMES[method.family], label(method))
+        rows.append([*name, *cells])
         if options := next((one["options"] for one in told if "options" in one), {}):
-            notes += f" {name} learns with{env_flags(options)}; its returns are without."
+            notes += f" {', '.join(name)} learns with{env_flags(options)}; its returns are without."
     columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "env steps of the refinement")
     caption = (
         "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "
-        "that blend, before → after."
+        "that blend, before → after. MHMT-SAC's heads do not blend."
     )
-    return [Table(caption + notes, ("family", *columns), rows)]
+    return [Table(caption + notes, ("family", "method", *columns), rows)]
+
+
+def _before_and_after(runs: Sequence[Run], measure: str) -> str:
+    """Formats how many pairs succeed before and after a refinement."""
+    counts = [successes(runs, measure, document) for document in BLENDS]
+    return " → ".join(str(counted or MISSING) for counted in counts) if any(counts) else MISSING
 
 
 def reach(index: RunIndex) -> list[Block]:

@@ -265,12 +265,15 @@ def test_the_report_opens_with_verdicts_and_a_picture_of_all_returns(place):
     record(level=-142, seed=1)
     add_pairs(record(agent="ear", seed=2, level=-141), 2, 9)
     record(agent="maml", level=-700)
+    add(record(agent="multihead", level=-200), "refinement", seeds=[{"seed": 0, "before": -195.5, "after": -147.0}])
     verdicts, picture = glance(RunIndex("fast"), place / "out")
     rows = {name: cells for name, *cells in verdicts.rows}
     assert rows["EAR-SAC"] == ["✓ −136.5 ± 1.0 (3) / −136.9", "—", "—", "—"]
     assert rows["EAR-SAC, refined"] == ["—"] * 4
     assert rows["Blends: midway"][0] == "✓ 9 of 9 (1) / 26 of 27"
     assert rows["Blends: between"][0] == "✗ 8 of 9 (1) / 25 of 27"
+    assert rows["MHMT-SAC"][0] == "✗ −195.5 (1) / −145.2"
+    assert rows["MHMT-SAC, refined"][0] == "✓ −147.0 (1) / −145.2"
     assert rows["MAML"][0] == "✗ −695.5 (1) / −500.9"
     assert (place / "out" / picture.file).read_bytes().startswith(b"\x89PNG")
 
