@@ -145,7 +145,7 @@ def save(file: Path, trained: Trained, rows: list[dict[str, Any]]) -> str:
     arrays = "policy.* are the networks' parameters [seeds, …], codes the table [seeds, tasks, code]"
     card = f"{describe(trained, rows)}\n{arrays}"
     codes = jax.vmap(trained.program.agent.codes)(trained.policies)
-    write_policy(file, trained.policies, codes, about, card)
+    write_policy(file, _without_codes(trained.policies), codes, about, card)
     return card
 
 
@@ -209,12 +209,21 @@ def _from_step(step: Step, directory: Path, family: str | None, engine: str | No
 def _from_file(path: Path, family: str | None, engine: str | None) -> Trained:
     about, header = read_about(path)
     program = _program(path, about, family, engine or "auto")  # not the saved engine: it may come from another machine
-    like = {"policy": _of_each_seed(program, program.agent.init_policy)}
+    policies = _of_each_seed(program, program.agent.init_policy)
+    like = {"policy": _without_codes(policies)}
+    if program.agent.finds_codes:
+        like["codes"] = policies["codes"]
     difference = first_difference(layout(named_leaves(like)), layout(header.entries), partly=True)
     if difference:
         raise RunError(f"{path} does not fit its configuration: {difference}")
-    policies = rebuild(like, read_policy(path, header))["policy"]
+    found = rebuild(like, read_policy(path, header))
+    policies = {**found.pop("policy"), **found}
     return Trained(str(path), program, policies, about["epoch"], results_of(path), about["collected"], about)
+
+
+def _without_codes(policies: Params) -> Params:
+    """Returns policies without the code table that some agents find: a file has it beside the policy."""
+    return {name: leaf for name, leaf in policies.items() if name != "codes"}
 
 
 def _program(holder: Path, about: dict[str, Any], family: str | None, engine: str) -> Program:

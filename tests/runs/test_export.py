@@ -14,7 +14,8 @@ from ear_jax.cli.main import main
 from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import manifest, records, safetensors
 from ear_jax.runs.export import read_about, write_policy
-from ear_jax.runs.trained import load
+from ear_jax.runs.trained import load, save
+from experiments.inventory import RECORDS
 from tests.helpers.runs import finished_config, leaves
 
 
@@ -51,6 +52,14 @@ def test_others_read_its_layout_and_its_code_table(finished, exported):
     np.testing.assert_array_equal(codes, jax.vmap(run.program.agent.codes)(run.policies))
     assert codes.shape == (2, 2, 3)
     assert max(entry["data_offsets"][1] for entry in header.values() if "shape" in entry) == len(content) - 8 - size
+
+
+def test_a_code_table_that_the_agent_found_is_stored_once(tmp_path):
+    recorded = RECORDS / "hopper-vel-maml-fast-seed2" / "policy.safetensors"  # of a version that stored it twice
+    run, file = load(recorded), tmp_path / "policy.safetensors"
+    save(file, run, [])
+    assert file.stat().st_size < 0.6 * recorded.stat().st_size
+    assert load(file).fingerprint == run.fingerprint
 
 
 def test_a_command_takes_it_for_a_run(exported, capsys):
