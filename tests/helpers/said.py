@@ -171,6 +171,17 @@ def of_refining() -> list[str]:
     return [f"the seeds return {', '.join(most)} and {last}"]
 
 
+def of_refined_heads() -> list[str]:
+    """MHMT-SAC on the cheetah before and after it was refined, beside the paper."""
+    found = measures.refinements(RunIndex("fast").runs("halfcheetah-vel", "multihead"))
+    before, after = (spread([entry[when] for entry in found]) for when in ("before", "after"))
+    paper = measures.paper_return("halfcheetah-vel", "multihead")["mean"]
+    return [
+        f"its three seeds return {before} as trained and {after} after",
+        f"the paper's MHMT-SAC returns {number(paper)}",
+    ]
+
+
 def refined_ants() -> list[dict[str, Any]]:
     return measures.refinements(RunIndex("fast").runs("ant-dir", variant="+equivariant"))
 

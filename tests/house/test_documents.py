@@ -62,6 +62,7 @@ def test_readme_and_results_say_what_the_records_say():
         (said.of_second_families, "docs/trials.md"),
         (said.of_refining, "docs/trials.md"),
         (said.of_refining, "docs/refining.md"),
+        (said.of_refined_heads, "docs/refining.md"),
         (said.of_gains, "docs/fast.md"),
         (said.of_the_refined_ant, "docs/refining.md"),
         (said.of_the_penalty, "docs/refining.md"),
@@ -100,6 +101,7 @@ def test_nothing_that_looks_measured_stands_unchecked(path):
         *said.of_half_runs(),
         *said.of_second_families(),
         *said.of_refining(),
+        *said.of_refined_heads(),
         *said.of_a_gpu(),
         *GIVEN,
     ):
