@@ -192,7 +192,7 @@ class Config:
     family: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FAMILY")]]
     """Task family: a name from `ear families`, or path/to/file.py:ClassName."""
     preset: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "fast"
-    """paper, fast or smoke; variants: +no-noise +no-norm +task-hidden +wide +gathered +equivariant +categorical."""
+    """paper, fast, smoke; variants +no-noise +no-norm +task-hidden +wide +gathered +equivariant +categorical +both."""
     agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "ear"
     """The method: ear, which is the paper's, ear-rnn, multihead, onehot, onehot-blind, pearl or maml."""
     engine: Annotated[str, tyro.conf.arg(metavar="ENGINE")] = "auto"

@@ -49,7 +49,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 
 # Variants follow a preset's name after a +, as in fast+no-noise: the paper's ablations of EAR (appendix B.7), the
 # hidden layer of the task encoder in the authors' code, networks that need more than an hour of one core, LTEs that
-# start close together, the critics of BRC (naumix/BiggerRegularizedCategorical), and networks that turn with the robot.
+# start close together, the critics of BRC (naumix/BiggerRegularizedCategorical), networks that turn with the robot,
+# and Run-Jump with two tasks that reward running and jumping at once.
 VARIANTS: dict[str, dict[str, Any]] = {
     "no-noise": {"sac": {"lte_noise": 0.0}},
     "no-norm": {"network": {"normalise_lse": False, "normalise_lte": False}},
@@ -66,6 +67,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "epochs": 190,
         "network": {"critic_blocks": 2, "critic_bins": 101, "critic_task": "both"},
         "sac": {"lr_decay": 76_000, "return_scale": 10.0, "weight_decay": 0.01},
+    },
+    "both": {
+        "tasks": (*(f"back-{speed}" for speed in range(1, 8)), "jump-1", "jump-5", "jump-10", "both-2-5", "both-4-5"),
     },
 }
 

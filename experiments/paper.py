@@ -91,7 +91,7 @@ def numbers() -> dict[str, Any]:
 CHEETAH, ANT, HOPPER, WALKER = FAMILIES = ("halfcheetah-vel", "ant-dir", "hopper-vel", "walker-vel")
 RUN_JUMP, REACH = "halfcheetah-run-jump", "reach"
 OFF_POLICY = ("ear", "pearl", "multihead", "onehot")
-WIDE, GATHERED, CATEGORICAL, EQUIVARIANT = "+wide", "+gathered", "+categorical", "+equivariant"
+WIDE, GATHERED, CATEGORICAL, EQUIVARIANT, BOTH = "+wide", "+gathered", "+categorical", "+equivariant", "+both"
 TURNED = ("", EQUIVARIANT)
 EAR_VARIANTS = (*TURNED, CATEGORICAL, WIDE, GATHERED, "+no-noise", "+no-norm", "+no-noise+no-norm")
 
@@ -145,7 +145,12 @@ TABLES = (
     Experiment(
         "table-9", "interpolation without normalisation", methods((ANT,), INTERPOLATION, variants=("", "+no-norm"))
     ),
-    Experiment("table-10", "composition", methods((RUN_JUMP,), EVALUATION, *COMPOSED, FRONT)),
+    Experiment(
+        "table-10",
+        "composition",
+        methods((RUN_JUMP,), EVALUATION, *COMPOSED, FRONT)
+        + methods((RUN_JUMP,), EVALUATION, *COMPOSED, FRONT, variants=(BOTH,), seeds=1),
+    ),
     Experiment("table-11", "mid-task interpolation, HalfCheetah-Vel", methods((CHEETAH,), INTERPOLATION)),
     Experiment("table-12", "mid-task interpolation, Hopper-Vel", methods((HOPPER,), INTERPOLATION)),
     Experiment("table-13", "mid-task interpolation, Walker-Vel", methods((WALKER,), INTERPOLATION)),

@@ -1,7 +1,8 @@
-"""HalfCheetah-Run-Jump: the cheetah runs backward at a commanded speed, or raises its hind leg."""
+"""HalfCheetah-Run-Jump: the cheetah runs backward at a commanded speed, or raises its hind leg, or does both."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -19,6 +20,7 @@ from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
 HIND_FOOT = "bfoot"
 SPEEDS = range(1, 8)  # m/s, backward
 WEIGHTS = (1, 5, 10)  # on height
+BOTH = re.compile(r"both-(\d+\.?\d*)-(\d+\.?\d*)")  # speed in m/s and weight on height
 
 
 class HalfCheetahRunJump(HalfCheetah):
@@ -44,16 +46,21 @@ class HalfCheetahRunJump(HalfCheetah):
         return task_set([_back(speed) for speed in SPEEDS] + [_jump(weight) for weight in WEIGHTS])
 
     def parse_task(self, text: str) -> Task:
-        """Returns one of `back-1` … `back-7`, `jump-1`, `jump-5`, `jump-10`, or by nickname: walk, run, stand, jump."""
+        """Returns one of `back-1` … `back-7`, `jump-1`, `jump-5`, `jump-10`, or by nickname: walk, run, stand, jump.
+
+        `both-SPEED-WEIGHT`, as `both-2-5`, rewards running and height at once; no preset but `+both` trains on it.
+        """
+        if words := BOTH.fullmatch(text.strip().lower()):
+            return _both(*map(float, words.groups()))
         nicknames = {"walk": "back-1", "run": "back-7", "stand": "jump-1", "jump": "jump-10"}
         tasks = {task.name: task for task in self.training_tasks().tasks}
         name = nicknames.get(text.strip().lower(), text.strip().lower())
         if name not in tasks:
-            raise unknown("task", text, (*tasks, *nicknames))
+            raise unknown("task", text, (*tasks, *nicknames, "both-2-5"))
         return tasks[name]
 
     def asks(self, task: Task) -> tuple[str, str]:
-        return ("height", "m") if task.params["jump"] else super().asks(task)
+        return ("height", "m") if task.target is None else super().asks(task)
 
     def outcome(self, motion: Motion) -> Outcome:
         height = motion.positions[0, 2] if self.bodies else motion.after.qpos[1]
@@ -74,6 +81,11 @@ def _back(speed: float) -> Task:
 
 def _jump(weight: float) -> Task:
     return Task(f"jump-{weight:g}", target=None, params={"run": 0.0, "velocity": 0.0, "jump": float(weight)})
+
+
+def _both(speed: float, weight: float) -> Task:
+    params = {"run": 1.0, "velocity": -speed, "jump": weight}
+    return Task(f"both-{speed:g}-{weight:g}", target=-speed, params=params)
 
 
 FAMILY = HalfCheetahRunJump

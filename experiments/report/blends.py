@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from ear_jax.runs.statistics import interquartile_mean
-from experiments.paper import CHEETAH, COMPOSED, FRONT, MET, RUN_JUMP, Analysis, numbers
+from experiments.paper import BOTH, CHEETAH, COMPOSED, FRONT, MET, RUN_JUMP, Analysis, numbers
 from experiments.report.blocks import Block, Table
-from experiments.report.formatting import MISSING, NAMES, interval, lack, number, percent, printed, spread
+from experiments.report.formatting import MISSING, NAMES, VARIANTS, interval, lack, number, percent, printed, spread
 from experiments.report.measures import difference, unit
 from experiments.report.run_index import Run, RunIndex
 
@@ -158,31 +159,36 @@ def composition(index: RunIndex) -> list[Block]:
     blocks: list[Block] = [
         Table("The β that the paper chose by eye for each composition.", ("seed", "composition", "β"), chosen)
     ]
-    for run in index.runs(RUN_JUMP):
-        for analysis in COMPOSED:
+    runs = {variant: index.runs(RUN_JUMP, variant=variant) for variant in ("", BOTH)}
+    for variant, several in runs.items():
+        for run, analysis in product(several, COMPOSED):
             for composed in run.of_seed(analysis.name, "seeds"):
-                blocks.append(_along_beta(run, run.document(analysis.name) or {}, composed["blends"]))
+                seed = f"seed {run.seed}{VARIANTS[variant]}"
+                blocks.append(_along_beta(seed, run.document(analysis.name) or {}, composed["blends"]))
     if len(blocks) == 1:
-        blocks.append(f"Ours: {lack(index.runs(RUN_JUMP))}.")
-    return blocks + _both_at_once(index.runs(RUN_JUMP))
+        blocks.append(f"Ours: {lack(runs[''])}.")
+    return [*blocks, *_both_at_once(runs)]
 
 
-def _both_at_once(runs: list[Run]) -> list[Block]:
-    """Tells how high the hind foot is held while running, at best, under LTEs all over the sphere."""
-    told: list[Block] = []
-    for run in runs:
+def _both_at_once(runs: Mapping[str, list[Run]]) -> Iterator[Block]:
+    """Tells how high the hind foot is held while running, at best, under LTEs all over the sphere.
+
+    Args:
+      runs: by variant.
+    """
+    for variant, run in ((variant, run) for variant, several in runs.items() for run in several):
         for traded in run.of_seed(FRONT.name, "seeds"):
             ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
             heights = [height for speed, height in traded["rewards"] if speed > RUNNING]
-            told.append(
-                f"Seed {run.seed}: of {len(traded['rewards']):,} LTEs, {len(heights):,} run backward faster than "
-                f"{RUNNING:g} m/s. They hold the hind foot at {number(max(heights, default=0.0), 2)} m at most; the "
-                f"mean of run and jump is {number(sum(ends) / 2, 2)} m."
+            yield (
+                f"Seed {run.seed}{VARIANTS[variant]}: of {len(traded['rewards']):,} LTEs, {len(heights):,} run "
+                f"backward faster than {RUNNING:g} m/s. They hold the hind foot at "
+                f"{number(max(heights, default=0.0), 2)} m at most; the mean of run and jump is "
+                f"{number(sum(ends) / 2, 2)} m."
             )
-    return told
 
 
-def _along_beta(run: Run, document: dict[str, Any], blends: list[dict[str, Any]]) -> Table:
+def _along_beta(seed: str, document: dict[str, Any], blends: list[dict[str, Any]]) -> Table:
     first, second = document["between"]
     feet = document["feet"]
     rows = [
@@ -196,6 +202,6 @@ def _along_beta(run: Run, document: dict[str, Any], blends: list[dict[str, Any]]
         for blend in blends
     ]
     ends = f"{first} (β = 1) to {second} (β = 0)"
-    caption = f"Ours, seed {run.seed}: {ends}, {document['steps']} steps; means over the second half."
+    caption = f"Ours, {seed}: {ends}, {document['steps']} steps; means over the second half."
     down = tuple(f"{foot} foot down" for foot in feet)
     return Table(caption, ("β", "velocity (m/s)", "height (m)", *down, "no foot down"), rows)

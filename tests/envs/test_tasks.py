@@ -32,6 +32,8 @@ def test_training_tasks_in_the_order_of_their_codes():
     np.testing.assert_array_equal(both.params["velocity"], [-1, -2, -3, -4, -5, -6, -7, 0, 0, 0])
     np.testing.assert_array_equal(both.params["run"], [1] * 7 + [0] * 3)
     np.testing.assert_array_equal(both.params["jump"], [0] * 7 + [1, 5, 10])
+    two = family("halfcheetah-run-jump").parse_task("both-2-5")
+    assert (two.target, two.params) == (-2.0, {"run": 1.0, "velocity": -2.0, "jump": 5.0})
     assert numbers["reach"].names == [f"goal-{angle}" for angle in range(0, 360, 36)]
 
 
@@ -72,6 +74,7 @@ def test_adaptation_tasks_are_drawn_from_the_seed(name, count, low, high):
         ("halfcheetah-run-jump", ("back-3", "BACK-3"), "back-3"),
         ("halfcheetah-run-jump", ("walk", "back-1"), "back-1"),
         ("halfcheetah-run-jump", ("jump",), "jump-10"),
+        ("halfcheetah-run-jump", ("both-2-5", "BOTH-2.0-5"), "both-2-5"),
     ],
 )
 def test_tasks_by_the_words_people_use(name, words, task):
@@ -80,7 +83,7 @@ def test_tasks_by_the_words_people_use(name, words, task):
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-@pytest.mark.parametrize("word", ["", "fast", "nan", "inf", "vel-", "dir-north", "back-9"])
+@pytest.mark.parametrize("word", ["", "fast", "nan", "inf", "vel-", "dir-north", "back-9", "both-2"])
 def test_words_that_name_no_task(name, word):
     with pytest.raises(UsageError, match=r"task .*there are|no task .* name a"):
         family(name).parse_task(word)
