@@ -20,7 +20,7 @@ from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
 HIND_FOOT = "bfoot"
 SPEEDS = range(1, 8)  # m/s, backward
 WEIGHTS = (1, 5, 10)  # on height
-BOTH = re.compile(r"both-(\d+\.?\d*)-(\d+\.?\d*)")  # speed in m/s and weight on height
+BOTH = r"both-(\d+\.?\d*)-(\d+\.?\d*)"  # speed in m/s and weight on height
 
 
 class HalfCheetahRunJump(HalfCheetah):
@@ -50,7 +50,7 @@ class HalfCheetahRunJump(HalfCheetah):
 
         `both-SPEED-WEIGHT`, as `both-2-5`, rewards running and height at once; no preset but `+both` trains on it.
         """
-        if words := BOTH.fullmatch(text.strip().lower()):
+        if words := re.fullmatch(BOTH, text.strip().lower()):
             return _both(*map(float, words.groups()))
         nicknames = {"walk": "back-1", "run": "back-7", "stand": "jump-1", "jump": "jump-10"}
         tasks = {task.name: task for task in self.training_tasks().tasks}
