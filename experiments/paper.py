@@ -119,11 +119,15 @@ SPEEDS_BEYOND = tuple(between("extrapolation", *pair, *BETAS) for pair in (("1",
 DIRECTIONS_BEYOND = tuple(
     between("extrapolation", *pair, *BETAS) for pair in (("0", "15"), ("120", "135"), ("270", "285"))
 )
-COMPOSED = tuple(between("composition", *pair, "--steps", "1000") for pair in (("walk", "stand"), ("run", "jump")))
+WALK_STAND, RUN_JUMPING, SLOWER = (
+    between("composition", *pair, "--steps", "1000")
+    for pair in (("walk", "stand"), ("run", "jump"), ("back-5", "jump-5"))
+)
+COMPOSED = (WALK_STAND, RUN_JUMPING)
 FRONT = Analysis("front", "front", ("--reward", "-velocity", "height"))
-COMPOSED_STILLS = tuple(
+*COMPOSED_STILLS, SLOWER_STILLS = (
     stills(f"stills-{first}-{second}", first, second, "--beta", "0.7", "0.6", "0.5", "0.4")
-    for first, second in (("walk", "stand"), ("run", "jump"))
+    for first, second in (("walk", "stand"), ("run", "jump"), ("back-5", "jump-5"))
 )
 
 TABLES = (
@@ -149,7 +153,7 @@ TABLES = (
         "table-10",
         "composition",
         methods((RUN_JUMP,), EVALUATION, *COMPOSED, FRONT)
-        + methods((RUN_JUMP,), EVALUATION, *COMPOSED, FRONT, variants=(BOTH,), seeds=1),
+        + methods((RUN_JUMP,), EVALUATION, *COMPOSED, SLOWER, FRONT, variants=(BOTH,), seeds=1),
     ),
     Experiment("table-11", "mid-task interpolation, HalfCheetah-Vel", methods((CHEETAH,), INTERPOLATION)),
     Experiment("table-12", "mid-task interpolation, Hopper-Vel", methods((HOPPER,), INTERPOLATION)),
@@ -164,7 +168,11 @@ FIGURES = (
     Experiment("figure-2", "returns during training", methods(FAMILIES, agents=OFF_POLICY)),
     Experiment("figure-3", "stills of interpolated running", methods((CHEETAH,), STILLS), seeds=1),
     Experiment(
-        "figure-4", "stills of composed motions", methods((RUN_JUMP,), *COMPOSED, *COMPOSED_STILLS, FRONT), seeds=1
+        "figure-4",
+        "stills of composed motions",
+        methods((RUN_JUMP,), *COMPOSED, *COMPOSED_STILLS, FRONT)
+        + methods((RUN_JUMP,), SLOWER, SLOWER_STILLS, FRONT, variants=(BOTH,)),
+        seeds=1,
     ),
     Experiment(
         "figure-5",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ear_jax.runs.statistics import interquartile_mean
-from experiments.paper import BOTH, CHEETAH, COMPOSED, FRONT, MET, RUN_JUMP, Analysis, numbers
+from experiments.paper import BOTH, CHEETAH, COMPOSED, FRONT, MET, RUN_JUMP, SLOWER, WALK_STAND, Analysis, numbers
 from experiments.report.blocks import Block, Table
 from experiments.report.formatting import MISSING, NAMES, VARIANTS, interval, lack, number, percent, printed, spread
 from experiments.report.measures import difference, unit
@@ -161,17 +161,18 @@ def composition(index: RunIndex) -> list[Block]:
     ]
     runs = {variant: index.runs(RUN_JUMP, variant=variant) for variant in ("", BOTH)}
     for variant, several in runs.items():
-        for run, analysis in product(several, COMPOSED):
+        for run, analysis in product(several, (*COMPOSED, SLOWER)):
             for composed in run.of_seed(analysis.name, "seeds"):
                 seed = f"seed {run.seed}{VARIANTS[variant]}"
                 blocks.append(_along_beta(seed, run.document(analysis.name) or {}, composed["blends"]))
+                blocks += [] if analysis == WALK_STAND else [_doing_both(composed["blends"])]
     if len(blocks) == 1:
         blocks.append(f"Ours: {lack(runs[''])}.")
     return [*blocks, *_both_at_once(runs)]
 
 
 def _both_at_once(runs: Mapping[str, list[Run]]) -> Iterator[Block]:
-    """Tells how high the hind foot is held while running, at best, under LTEs all over the sphere.
+    """Tells how many LTEs all over the sphere run with the hind foot raised, and how high at best.
 
     Args:
       runs: by variant.
@@ -180,12 +181,26 @@ def _both_at_once(runs: Mapping[str, list[Run]]) -> Iterator[Block]:
         for traded in run.of_seed(FRONT.name, "seeds"):
             ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
             heights = [height for speed, height in traded["rewards"] if speed > RUNNING]
+            raised = sum(height > np.mean(ends) for height in heights)
             yield (
                 f"Seed {run.seed}{VARIANTS[variant]}: of {len(traded['rewards']):,} LTEs, {len(heights):,} run "
-                f"backward faster than {RUNNING:g} m/s. They hold the hind foot at "
-                f"{number(max(heights, default=0.0), 2)} m at most; the mean of run and jump is "
-                f"{number(sum(ends) / 2, 2)} m."
+                f"backward faster than {RUNNING:g} m/s. {raised or 'None'} of them hold the hind foot higher than "
+                f"{number(float(np.mean(ends)), 2)} m, the mean of run and jump; at best it is at "
+                f"{number(max(heights, default=0.0), 2)} m."
             )
+
+
+def _doing_both(blends: list[dict[str, Any]]) -> str:
+    """Tells which blends between two tasks run with the hind foot higher than the mean of the two."""
+    outcomes = {blend["beta"]: (-blend["outcome"]["velocity"], blend["outcome"]["height"]) for blend in blends}
+    mean = (outcomes[1][1] + outcomes[0][1]) / 2
+    wanted = f"faster than {RUNNING:g} m/s with the hind foot higher than {number(mean, 2)} m, the mean of the two ends"
+    between = {beta: outcome for beta, outcome in outcomes.items() if 0 < beta < 1}
+    found = {beta: at for beta, at in between.items() if at[0] > RUNNING and at[1] > mean}
+    if not found:
+        return f"No blend between them runs backward {wanted}."
+    each = ", ".join(f"β = {beta:g} ({number(at[0], 2)} m/s at {number(at[1], 2)} m)" for beta, at in found.items())
+    return f"Backward {wanted}: {each}. The end at β = 0 runs at {number(outcomes[0][0], 2)} m/s by itself."
 
 
 def _along_beta(seed: str, document: dict[str, Any], blends: list[dict[str, Any]]) -> Table:

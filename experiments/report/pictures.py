@@ -15,10 +15,22 @@ from ear_jax.figures.lse import draw_lse
 from ear_jax.figures.map import draw_map
 from ear_jax.files.replacing import copy_file, folder
 from ear_jax.presets import preset_config
-from experiments.paper import CHEETAH, COMPOSED, COMPOSED_STILLS, EXPERIMENTS, FRONT, RUN_JUMP, STILLS, Analysis
+from experiments.paper import (
+    BOTH,
+    CHEETAH,
+    COMPOSED,
+    COMPOSED_STILLS,
+    EXPERIMENTS,
+    FRONT,
+    RUN_JUMP,
+    SLOWER,
+    SLOWER_STILLS,
+    STILLS,
+    Analysis,
+)
 from experiments.report.blocks import Block, Picture, Table
 from experiments.report.figures import Lines, adaptation_curves, draw_panels, task_curves, training_curves
-from experiments.report.formatting import NAMES, label, number
+from experiments.report.formatting import NAMES, VARIANTS, label, number
 from experiments.report.measures import paper_return
 from experiments.report.run_index import Run, RunIndex
 
@@ -111,10 +123,10 @@ def _drawn(runs: list[Run], name: str, caption: str, draw: Callable[[Path, Any],
     for run in runs:
         document = run.document(name)
         if document:
-            folder(out / FOLDER)
+            drawings = folder(out / FOLDER / run.variant.replace("+", ""))
             of_this_seed = {**document, "seeds": run.of_seed(name, "seeds")}
-            files = draw(out / FOLDER, of_this_seed)
-            blocks += [Picture(f"{FOLDER}/{path.name}", f"{caption}, seed {run.seed}.") for path in files]
+            files = [path.relative_to(out).as_posix() for path in draw(drawings, of_this_seed)]
+            blocks += [Picture(file, f"{caption}, seed {run.seed}{VARIANTS[run.variant]}.") for file in files]
     return blocks
 
 
@@ -133,7 +145,7 @@ def _strips(runs: list[Run], analysis: Analysis, out: Path) -> list[Block]:
             folder(out / FOLDER)
             file = f"{FOLDER}/{run.name}-{kept.name}"
             copy_file(kept, out / file)
-            blocks.append(Picture(file, f"{_describe(document)}, seed {run.seed}."))
+            blocks.append(Picture(file, f"{_describe(document)}, seed {run.seed}{VARIANTS[run.variant]}."))
     return blocks
 
 
@@ -147,9 +159,11 @@ def _describe(document: dict[str, Any]) -> str:
 def composed(id: str, index: RunIndex, out: Path) -> list[Block]:
     """Returns figure 4."""
     caption = "Outcomes along β, means over the second half of the roll-out, and the feet on the ground"
-    runs = index.runs(RUN_JUMP)
-    strips = [block for analysis in COMPOSED_STILLS for block in _strips(runs, analysis, out)]
-    figures = [block for analysis in COMPOSED for block in _drawn(runs, analysis.name, caption, draw_compose, out)]
+    runs = [run for variant in ("", BOTH) for run in index.runs(RUN_JUMP, variant=variant)]
+    strips = [block for analysis in (*COMPOSED_STILLS, SLOWER_STILLS) for block in _strips(runs, analysis, out)]
+    figures = [
+        block for analysis in (*COMPOSED, SLOWER) for block in _drawn(runs, analysis.name, caption, draw_compose, out)
+    ]
     traded = "Backward speed (m/s) and height of the hind foot (m) under LTEs all over the sphere"
     return strips + figures + _drawn(runs, FRONT.name, traded, draw_front, out)
 

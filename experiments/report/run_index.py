@@ -60,6 +60,12 @@ class Run:
         return _named(from_dict(keep(self.about["config"], known)))
 
     @property
+    def variant(self) -> str:
+        """The variant of the preset, as `+both`; empty if there is none."""
+        _, plus, variant = self.config.preset.partition("+")
+        return plus + variant
+
+    @property
     def command(self) -> str:
         """The command that trains the run with today's presets, all its seeds together."""
         return command_line(self.config)

@@ -14,7 +14,6 @@ from experiments.inventory import RECORDS
 from experiments.report import measures
 from experiments.report.formatting import count, number, spread
 from experiments.report.run_index import Run, RunIndex
-from tests.embeddings.test_twenty_rewards import reaches
 
 CHEETAH = RECORDS / "halfcheetah-vel-ear-fast-seed0"
 
@@ -76,35 +75,6 @@ def of_the_wide() -> list[str]:
     wide = " and ".join(number(measures.mean_return(run)) for run in (wide_hopper, wide_walker))
     usual = " and ".join(number(float(np.mean(returns))) for returns in (hoppers, walkers))
     return [f"The first wide seeds of hopper and walker return {wide}, the three seeds of {usual} on average"]
-
-
-def of_the_ring() -> list[str]:
-    """The angles between embeddings of the ant's neighbouring directions, and their effect on blends."""
-    found = RunIndex("fast")
-    *even, broken = map(measures.gaps, found.runs("ant-dir", variant="+wide"))
-    blends = json.loads((RECORDS / "ant-dir-ear-fast+wide-seed2" / "interpolation.json").read_text())["one_to_one"]
-    assert [int(np.sum(measures.gaps(run) > 30)) for run in found.runs("ant-dir")] == [0, 5, 0]
-    return [
-        f"are {np.min(even):.0f} to {np.max(even):.0f}° apart in wide seeds 0 and 1",
-        f"In seed 2 they are {min(broken):.0f} to {max(broken):.0f}° apart",
-        f"lies between only {blends['success']} of its {blends['total']} neighbours",
-    ]
-
-
-def of_the_gathered() -> list[str]:
-    """Words on the hopper's seed 0, with LTEs gathered at the start and without."""
-    gathered, usual = (RunIndex("fast").runs("hopper-vel", variant=variant)[0] for variant in ("+gathered", ""))
-    assert gathered.seed == usual.seed == 0
-    gaps, pairs = [], []
-    for run in (gathered, usual):
-        gaps.append(f"{max(measures.gaps(run)):.0f}°")
-        pairs.append([measures.successes([run], what) for what in ("mid_task", "one_to_one")])
-    return [
-        f"the widest gap is {gaps[0]} instead of {gaps[1]}",
-        "the return {} instead of {}".format(*(number(measures.mean_return(run)) for run in (gathered, usual))),
-        f"pairs, {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
-        f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
-    ]
 
 
 def aside(run: Run, angle: int, evaluation: str = "evaluation") -> float:
@@ -172,11 +142,14 @@ def of_refining() -> list[str]:
 
 
 def of_refined_heads() -> list[str]:
-    """MHMT-SAC on the cheetah before and after it was refined, beside the paper."""
+    """MHMT-SAC on the cheetah and the hopper before and after it was refined, beside the paper."""
     found = measures.refinements(RunIndex("fast").runs("halfcheetah-vel", "multihead"))
     before, after = (spread([entry[when] for entry in found]) for when in ("before", "after"))
     paper = measures.paper_return("halfcheetah-vel", "multihead")["mean"]
+    hopper = measures.refinements(RunIndex("fast").runs("hopper-vel", "multihead"))[0]
+    best = measures.paper_return("hopper-vel", "multihead")["mean"]
     return [
+        f"from {number(hopper['before'])} to {number(hopper['after'])}; the paper's returns {number(best)}",
         f"its three seeds return {before} as trained and {after} after",
         f"the paper's MHMT-SAC returns {number(paper)}",
     ]
@@ -229,25 +202,6 @@ def of_commands() -> list[str]:
     return [
         f"99 each, in {rows['interpolate']['seconds']:.0f} seconds",
         f"2,000 LTEs rolled out in {rows['map']['seconds']:.0f} seconds",
-    ]
-
-
-def of_rewards() -> list[str]:
-    """Words of `docs/asking-for-behaviour.md` about the answers to twenty rewards."""
-    rows = [row for row in records.read_rows(common.RESULTS / "rewards.jsonl") if not row["quick"]]
-    returns = {(row["reward"], row["way"]): row["return"] for row in rows}
-    searched = {reward: value for (reward, way), value in returns.items() if way == "search"}
-    steps = sum({row["reward"]: row["env_steps"] / row["at_once"] for row in rows if row["way"] == "search"}.values())
-
-    def met(way: str, shortfall: float) -> str:
-        reached = [reaches(returns[reward, way], value, shortfall) for reward, value in searched.items()]
-        return f"{sum(reached)} of {len(reached)}"
-
-    return [
-        f"for {met('map', 0.05)} the survey's answer returned at most 5 % less than the search's",
-        f"for {met('map', 0)} at least as much",
-        f"The searches took {steps:,.0f} env steps",
-        f"at most 10 % less than the search's for {met('imagined', 0.1)}",
     ]
 
 
@@ -323,27 +277,4 @@ def of_a_gpu() -> list[str]:
     return [
         f"takes {took('xla', 5, 2)} at 5 seeds and {took('xla', 16, 2)} at 16",
         f"took {took('fused', 5, 1)} at 5 seeds ({rounded} in bfloat16) and {took('fused', 16, 1)} at 16",
-    ]
-
-
-def of_courses() -> list[str]:
-    """Words of `docs/asking-for-behaviour.md` about profiles and the ant's square."""
-    rows = [row for row in records.read_rows(common.RESULTS / "following.jsonl") if not row["quick"]]
-    newest = {(row["course"], row["way"]): row for row in rows}
-    profiles = [row for row in newest.values() if row["unit"] == "m/s"]
-    spline, look_up = (
-        [f"{row['error']:.2f}" for row in profiles if row["way"] == way] for way in ("spline", "look-up")
-    )
-    (pursuit,) = (row for row in newest.values() if row["way"] == "pursuit")
-    open_loop, by_spline = (newest[pursuit["course"], way]["error"] for way in ("look-up", "spline"))
-    seconds = [row[name] for row in profiles for name in ("first_seconds", "seconds")]
-    return [
-        f"after the first second was {spline[0]}, {spline[1]} and {spline[2]} m/s on three profiles",
-        f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
-        f"Without a film the command took {min(seconds):.0f} to {max(seconds):.0f} s on two cores",
-        f"from {sum(error <= 1 for error in pursuit['errors'])} of {len(pursuit['errors'])} fresh starts",
-        f"from the other it missed one by {max(pursuit['errors']):.1f} m",
-        f"it turned wide, up to {max(pursuit['aside']):.1f} m from the path",
-        f"missed a way-point by {open_loop:.1f} m by look-up",
-        f"by {by_spline:.1f} m along a spline",
     ]

@@ -12,7 +12,7 @@ from ear_jax.runs import records
 from experiments.report import documents, readme
 from experiments.report.formatting import NAMES
 from experiments.report.run_index import RunIndex
-from tests.helpers import said
+from tests.helpers import said, said_of_ltes
 from tests.helpers.tolerances import MJX_TOLERANCES
 
 ROOT = Path(__file__).parents[2]
@@ -50,13 +50,15 @@ def test_readme_and_results_say_what_the_records_say():
     [
         (said.of_the_cheetah, "docs/results.md"),
         (said.of_commands, "docs/results.md"),
-        (said.of_rewards, "docs/asking-for-behaviour.md"),
-        (said.of_courses, "docs/asking-for-behaviour.md"),
+        (said_of_ltes.of_rewards, "docs/asking-for-behaviour.md"),
+        (said_of_ltes.of_courses, "docs/asking-for-behaviour.md"),
         (said.of_the_ant, "docs/fast.md"),
         (said.of_the_turned, "docs/fast.md"),
         (said.of_the_wide, "docs/fast.md"),
-        (said.of_the_ring, "docs/trials.md"),
-        (said.of_the_gathered, "docs/trials.md"),
+        (said_of_ltes.of_the_ring, "docs/trials.md"),
+        (said_of_ltes.of_the_gathered, "docs/trials.md"),
+        (said_of_ltes.of_run_jump_in_results, "docs/results.md"),
+        (said_of_ltes.of_running_and_jumping, "docs/trials.md"),
         (said.of_the_long_run, "docs/trials.md"),
         (said.of_half_runs, "docs/trials.md"),
         (said.of_second_families, "docs/trials.md"),
@@ -97,7 +99,7 @@ def test_nothing_that_looks_measured_stands_unchecked(path):
         *said.of_the_cheetah(),
         *said.of_the_long_run(),
         *said.of_commands(),
-        *said.of_courses(),
+        *said_of_ltes.of_courses(),
         *said.of_half_runs(),
         *said.of_second_families(),
         *said.of_refining(),

@@ -1,0 +1,139 @@
+"""Words of documents on what LTEs do, each with the numbers that records hold today."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from benchmarks import common
+from ear_jax.runs import records
+from experiments.inventory import RECORDS
+from experiments.paper import BOTH, EVALUATION, FRONT, RUN_JUMP, SLOWER
+from experiments.report import measures
+from experiments.report.formatting import number
+from experiments.report.run_index import RunIndex
+from tests.embeddings.test_twenty_rewards import reaches
+
+
+def of_the_ring() -> list[str]:
+    """The angles between embeddings of the ant's neighbouring directions, and their effect on blends."""
+    found = RunIndex("fast")
+    *even, broken = map(measures.gaps, found.runs("ant-dir", variant="+wide"))
+    blends = json.loads((RECORDS / "ant-dir-ear-fast+wide-seed2" / "interpolation.json").read_text())["one_to_one"]
+    assert [int(np.sum(measures.gaps(run) > 30)) for run in found.runs("ant-dir")] == [0, 5, 0]
+    return [
+        f"are {np.min(even):.0f} to {np.max(even):.0f}° apart in wide seeds 0 and 1",
+        f"In seed 2 they are {min(broken):.0f} to {max(broken):.0f}° apart",
+        f"lies between only {blends['success']} of its {blends['total']} neighbours",
+    ]
+
+
+def of_the_gathered() -> list[str]:
+    """Words on the hopper's seed 0, with LTEs gathered at the start and without."""
+    gathered, usual = (RunIndex("fast").runs("hopper-vel", variant=variant)[0] for variant in ("+gathered", ""))
+    assert gathered.seed == usual.seed == 0
+    gaps, pairs = [], []
+    for run in (gathered, usual):
+        gaps.append(f"{max(measures.gaps(run)):.0f}°")
+        pairs.append([measures.successes([run], what) for what in ("mid_task", "one_to_one")])
+    return [
+        f"the widest gap is {gaps[0]} instead of {gaps[1]}",
+        "the return {} instead of {}".format(*(number(measures.mean_return(run)) for run in (gathered, usual))),
+        f"pairs, {pairs[0][0].number} meet the value midway instead of {pairs[1][0].number}",
+        f"and {pairs[0][1].number} half-and-half blends lie between instead of {pairs[1][1].number}",
+    ]
+
+
+def of_running_and_jumping() -> list[str]:
+    """Words on Run-Jump with tasks that reward both, in `docs/trials.md`."""
+    traded, blends, evaluated = _trained_on_both()
+    hops = next(task["outcome"] for task in evaluated["tasks"] if task["name"] == "both-2-5")
+    ltes = np.array([task["lte"] for task in traded["trained"] if task["name"] in ("back-7", "jump-10", "both-2-5")])
+    apart = np.degrees(np.arccos(np.clip(ltes @ ltes.T, -1, 1)))
+    *_, (fastest, _) = _raised(blends)
+    return [
+        f"Of {len(traded['rewards']):,} LTEs {_doing_both(traded)} run backward",
+        f"at {number(-hops['velocity'], 1)} m/s with the hind foot at {number(hops['height'], 2)} m",
+        f"Those two are {apart[0, 1]:.0f}° apart, and is {apart[0, 2]:.0f}° from the one and {apart[1, 2]:.0f}° from",
+        f"the fastest that holds the foot up ({number(fastest, 2)} m/s)",
+        f"alone drifts backward at {number(blends[0][0], 2)} m/s",
+    ]
+
+
+def of_run_jump_in_results() -> list[str]:
+    """The same in `docs/results.md`."""
+    traded, blends, _ = _trained_on_both()
+    *_, (slower, _), (fastest, height) = _raised(blends)
+    return [
+        f"{_doing_both(traded)} of {len(traded['rewards']):,} LTEs do",
+        f"two then run backward at {number(slower, 2)} to {number(fastest, 2)} m/s",
+        f"with the hind foot at {number(height, 2)} m",
+        f"alone already drifts at {number(blends[0][0], 2)} m/s",
+    ]
+
+
+def _trained_on_both() -> tuple[dict[str, Any], dict[float, tuple[float, float]], dict[str, Any]]:
+    """Returns a run's front, the speed and height of its blends by β, and its evaluation."""
+    (run,) = RunIndex("fast").runs(RUN_JUMP, variant=BOTH)
+    (traded,), (composed,), (evaluated,) = (
+        run.of_seed(name, "seeds") for name in (FRONT.name, SLOWER.name, EVALUATION.name)
+    )
+    blends = {
+        blend["beta"]: (-blend["outcome"]["velocity"], blend["outcome"]["height"]) for blend in composed["blends"]
+    }
+    return traded, blends, evaluated
+
+
+def _doing_both(traded: dict[str, Any]) -> int:
+    ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
+    return sum(speed > 1 and height > np.mean(ends) for speed, height in traded["rewards"])
+
+
+def _raised(blends: dict[float, tuple[float, float]]) -> list[tuple[float, float]]:
+    """Returns speed and height of the blends with a raised hind foot, the fastest last."""
+    mean = (blends[0][1] + blends[1][1]) / 2
+    return sorted(at for beta, at in blends.items() if 0 < beta < 1 and at[1] > mean)
+
+
+def of_rewards() -> list[str]:
+    """Words of `docs/asking-for-behaviour.md` about the answers to twenty rewards."""
+    rows = [row for row in records.read_rows(common.RESULTS / "rewards.jsonl") if not row["quick"]]
+    returns = {(row["reward"], row["way"]): row["return"] for row in rows}
+    searched = {reward: value for (reward, way), value in returns.items() if way == "search"}
+    steps = sum({row["reward"]: row["env_steps"] / row["at_once"] for row in rows if row["way"] == "search"}.values())
+
+    def met(way: str, shortfall: float) -> str:
+        reached = [reaches(returns[reward, way], value, shortfall) for reward, value in searched.items()]
+        return f"{sum(reached)} of {len(reached)}"
+
+    return [
+        f"for {met('map', 0.05)} the survey's answer returned at most 5 % less than the search's",
+        f"for {met('map', 0)} at least as much",
+        f"The searches took {steps:,.0f} env steps",
+        f"at most 10 % less than the search's for {met('imagined', 0.1)}",
+    ]
+
+
+def of_courses() -> list[str]:
+    """Words of `docs/asking-for-behaviour.md` about profiles and the ant's square."""
+    rows = [row for row in records.read_rows(common.RESULTS / "following.jsonl") if not row["quick"]]
+    newest = {(row["course"], row["way"]): row for row in rows}
+    profiles = [row for row in newest.values() if row["unit"] == "m/s"]
+    spline, look_up = (
+        [f"{row['error']:.2f}" for row in profiles if row["way"] == way] for way in ("spline", "look-up")
+    )
+    (pursuit,) = (row for row in newest.values() if row["way"] == "pursuit")
+    open_loop, by_spline = (newest[pursuit["course"], way]["error"] for way in ("look-up", "spline"))
+    seconds = [row[name] for row in profiles for name in ("first_seconds", "seconds")]
+    return [
+        f"after the first second was {spline[0]}, {spline[1]} and {spline[2]} m/s on three profiles",
+        f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
+        f"Without a film the command took {min(seconds):.0f} to {max(seconds):.0f} s on two cores",
+        f"from {sum(error <= 1 for error in pursuit['errors'])} of {len(pursuit['errors'])} fresh starts",
+        f"from the other it missed one by {max(pursuit['errors']):.1f} m",
+        f"it turned wide, up to {max(pursuit['aside']):.1f} m from the path",
+        f"missed a way-point by {open_loop:.1f} m by look-up",
+        f"by {by_spline:.1f} m along a spline",
+    ]
