@@ -147,7 +147,7 @@ def of_refined_heads() -> list[str]:
     before, after = (spread([entry[when] for entry in found]) for when in ("before", "after"))
     paper = measures.paper_return("halfcheetah-vel", "multihead")["mean"]
     hoppers = measures.refinements(RunIndex("fast").runs("hopper-vel", "multihead"))
-    trained, refined = (" and ".join(number(entry[when]) for entry in hoppers) for when in ("before", "after"))
+    trained, refined = (spread([entry[when] for entry in hoppers]) for when in ("before", "after"))
     best = measures.paper_return("hopper-vel", "multihead")["mean"]
     return [
         f"from {trained} to {refined}; the paper's returns {number(best)}",
