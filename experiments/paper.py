@@ -119,7 +119,7 @@ SPEEDS_BEYOND = tuple(between("extrapolation", *pair, *BETAS) for pair in (("1",
 DIRECTIONS_BEYOND = tuple(
     between("extrapolation", *pair, *BETAS) for pair in (("0", "15"), ("120", "135"), ("270", "285"))
 )
-# The paper's two, and the one whose blends run fastest with the hind foot raised after `fast+both`.
+# The paper's two, and one for `fast+both`, whose blends run with the hind foot raised.
 WALK_STAND, RUN_JUMPING, SLOWER = (
     between("composition", *pair, "--steps", "1000")
     for pair in (("walk", "stand"), ("run", "jump"), ("back-5", "jump-5"))

@@ -180,12 +180,13 @@ def _both_at_once(runs: Mapping[str, list[Run]]) -> Iterator[Block]:
     for variant, run in ((variant, run) for variant, several in runs.items() for run in several):
         for traded in run.of_seed(FRONT.name, "seeds"):
             ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
+            mean = sum(ends) / 2
             heights = [height for speed, height in traded["rewards"] if speed > RUNNING]
-            raised = sum(height > np.mean(ends) for height in heights)
+            raised = sum(height > mean for height in heights)
             yield (
                 f"Seed {run.seed}{VARIANTS[variant]}: of {len(traded['rewards']):,} LTEs, {len(heights):,} run "
-                f"backward faster than {RUNNING:g} m/s. {raised or 'None'} of them hold the hind foot higher than "
-                f"{number(float(np.mean(ends)), 2)} m, the mean of run and jump; at best it is at "
+                f"backward faster than {RUNNING:g} m/s. Of these, {raised or 'none'} hold the hind foot higher than "
+                f"{number(mean, 2)} m, the mean of run and jump; at best it is at "
                 f"{number(max(heights, default=0.0), 2)} m."
             )
 

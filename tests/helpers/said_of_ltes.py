@@ -58,7 +58,7 @@ def of_running_and_jumping() -> list[str]:
         f"at {number(-hops['velocity'], 1)} m/s with the hind foot at {number(hops['height'], 2)} m",
         f"Those two are {apart[0, 1]:.0f}° apart, and is {apart[0, 2]:.0f}° from the one and {apart[1, 2]:.0f}° from",
         f"the fastest that holds the foot up ({number(fastest, 2)} m/s)",
-        f"alone drifts backward at {number(blends[0][0], 2)} m/s",
+        f"alone, which drifts backward at {number(blends[0][0], 2)} m/s",
     ]
 
 
