@@ -59,7 +59,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "gathered": {"network": {"lte_start": "gathered"}},
     "equivariant": {
         "epochs": 190,
-        "network": {"equivariant": True, "lte_start": "gathered"},
+        "network": {"equivariant": True},
         "sac": {"lr_decay": 76_000},
     },
     # An update takes three times as long on a CPU, so a run has half as many.
@@ -110,7 +110,7 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
         for name in flat_tree(VARIANTS[variant]):
             if not method.reads(name):
                 raise UsageError(f"agent {agent!r} has no use for {flag(name)}, which --preset {preset} sets")
-        changes = _merge(changes, VARIANTS[variant])
+        changes = _merge(_merge(changes, VARIANTS[variant]), method.presets.get(variant, {}))
     config: Config = from_dict({"family": family, "preset": preset, "agent": agent, **changes})
     return config
 

@@ -138,6 +138,7 @@ TABLES = (
         methods((CHEETAH, HOPPER, WALKER), EVALUATION, seeds=5)
         + methods((ANT,), EVALUATION)
         + methods((ANT,), EVALUATION, variants=(EQUIVARIANT,), seeds=5)
+        + methods((ANT,), EVALUATION, agents=("multihead",), variants=(EQUIVARIANT,))
         + methods(FAMILIES, EVALUATION, agents=("pearl", "multihead", "onehot", "maml", "onehot-blind")),
     ),
     Experiment("table-2", "hyperparameters"),
@@ -223,7 +224,8 @@ OURS = (
         "EAR and MHMT refined by PPO",
         methods((CHEETAH, HOPPER, WALKER), *REFINING)
         + methods((ANT,), *REFINING, variants=(EQUIVARIANT,))
-        + methods(FAMILIES, EVALUATION, REFINEMENT, REFINED_EVALUATION, agents=("multihead",)),
+        + methods(FAMILIES, EVALUATION, REFINEMENT, REFINED_EVALUATION, agents=("multihead",))
+        + methods((ANT,), EVALUATION, REFINEMENT, REFINED_EVALUATION, agents=("multihead",), variants=(EQUIVARIANT,)),
     ),
     Experiment("space", "how good EAR's spaces of LTEs are"),
     Experiment(

@@ -30,6 +30,7 @@ class Agent:
     critic: Critic | None  # None for a method without critics
     code_noise: float = 0.0  # σ of the noise added to a code when an update samples actions; it is then projected
     on_sphere: bool = False  # codes are unit vectors
+    one_hot: bool = False  # the code table is of one-hots
     embed: Callable[[Params, jax.Array], jax.Array] | None = None  # policy parameters, obs → LSE
     # Policy parameters, obs, action → the next LSE and the step's outcomes in units of their spread, both predicted.
     forecast: Callable[[Params, jax.Array, jax.Array], tuple[jax.Array, jax.Array]] | None = None

@@ -2,7 +2,8 @@
 
 A situation is turned and mirrored into the canonical sector of the plane, where the networks see it; what they say is
 turned back. So one network learns once what symmetric tasks share (van der Pol et al. 2020, arXiv 2006.16908; by
-canonicalisation: Kaba et al. 2023, arXiv 2211.06489). An LTE's first two numbers are a vector of the plane.
+canonicalisation: Kaba et al. 2023, arXiv 2211.06489). An LTE's first two numbers are a vector of the plane. A one-hot
+turns with its task.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
     What it embeds and forecasts stays as it is: that depends on no task, so there is nothing to turn by.
 
     Args:
-      agent: whose codes are LTEs, of two numbers or more.
+      agent: whose codes are one-hots, or LTEs of two numbers or more.
       symmetry: the family's.
       tasks: params, each leaf [tasks].
     """
@@ -44,6 +45,12 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
     turns = _turns(symmetry, to_sector, canonical)
     inverse = symmetry.action.inverse
 
+    def canonical_code(code: jax.Array) -> tuple[jax.Array, jax.Array]:
+        if agent.one_hot:
+            return jnp.asarray(to_sector)[jnp.argmax(code)], code @ np.eye(len(first), dtype=np.float32)[first]
+        variant = nearest(symmetry, code)
+        return variant, turned(symmetry, variant, code)
+
     def codes(policy: Params) -> jax.Array:
         table = jax.vmap(lambda code: turned(symmetry, nearest(symmetry, code), code))(agent.codes(policy)[first])
         with exact_matmul():
@@ -51,8 +58,8 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
         return jax.vmap(agent.project)(jnp.concatenate([plane, table[:, 2:]], axis=1))
 
     def distribution(policy: Params, code: jax.Array, obs: jax.Array) -> Gaussian:
-        variant = nearest(symmetry, code)
-        seen = agent.distribution(policy, turned(symmetry, variant, code), symmetry.obs.select(variant, obs))
+        variant, code = canonical_code(code)
+        seen = agent.distribution(policy, code, symmetry.obs.select(variant, obs))
         return Gaussian(inverse.select(variant, seen.mean), inverse.unsigned.select(variant, seen.log_std))
 
     def canonical_input(obs: jax.Array, action: jax.Array, task: jax.Array) -> tuple[jax.Array, ...]:
@@ -70,7 +77,7 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
     critic = agent.critic and seen_as(agent.critic, canonical_input)
     return replace(
         agent,
-        codes=codes,
+        codes=agent.codes if agent.one_hot else codes,
         distribution=distribution,
         critic=critic,
         canonical=canonical_task,

@@ -73,4 +73,6 @@ def ear(sizes: Sizes, config: Config) -> Agent:
     )
 
 
-METHOD = Method("ear", ear)
+# LTEs of neighbouring tasks then end as neighbours.
+GATHERED = {"network": {"lte_start": "gathered"}}
+METHOD = Method("ear", ear, presets={"equivariant": GATHERED})

@@ -13,7 +13,7 @@ from ear_jax.agents.networks import Params, mlp, recurrent_layer, unit_vector
 from ear_jax.agents.tanh_gaussian import Gaussian, gaussian
 from ear_jax.config import Config, flag
 from ear_jax.errors import UsageError
-from ear_jax.methods.ear import ear
+from ear_jax.methods.ear import GATHERED, ear
 from ear_jax.methods.method import OF_META_LEARNING, Method, Sizes
 
 
@@ -80,6 +80,7 @@ METHOD = Method(
         # An update takes 4.5 times as long as EAR's; an hour of one core allows no more epochs.
         "fast": {**_HISTORY, "epochs": 110, "sac": {"lr_decay": 44_000}},
         "smoke": _HISTORY,
+        "equivariant": GATHERED,
     },
     check=check,
 )

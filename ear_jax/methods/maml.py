@@ -79,7 +79,7 @@ METHOD = Method(
     "maml",
     maml,
     MamlLearner,
-    unread=("network.matmul", *OF_EMBEDDINGS, *OF_A_TASK_ENCODER, *_OF_SAC),
+    unread=("network.matmul", "network.equivariant", *OF_EMBEDDINGS, *OF_A_TASK_ENCODER, *_OF_SAC),
     presets={
         "paper": {**_EPISODES, "epochs": 1000, "meta_batch": 40},
         "fast": {**_EPISODES, **_LESS_NOISE, "epochs": 300, "meta_batch": 10},

@@ -17,7 +17,7 @@ OF_MAML = ("maml.*",)
 OF_META_LEARNING = (*OF_MAML, "meta_batch")
 OF_EMBEDDINGS = (
     *("sac.lte_noise", "sac.outcome_weight", "network.normalise_*"),
-    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task", "equivariant")),
+    *(f"network.{name}" for name in ("lse_size", "lte_start", "encoder_layers", "critic_task")),
 )
 OF_A_TASK_ENCODER = ("network.lte_size", "network.task_*")
 
@@ -44,7 +44,8 @@ class Method:
     build: Callable[[Sizes, Config], Agent]
     learner: type[Learner] = SacLearner  # trains the agent
     unread: tuple[str, ...] = OF_META_LEARNING  # patterns of settings that neither the agent nor the learner reads
-    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # preset → settings changed for this method
+    # Preset, or variant of a preset → settings changed for this method.
+    presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     families: Mapping[str, Mapping[str, Mapping[str, Any]]] = field(default_factory=dict)  # the same of single families
     check: Callable[[Config], None] = _accept  # raises UsageError for settings it does not support
 

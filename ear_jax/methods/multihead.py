@@ -40,6 +40,7 @@ def multihead(sizes: Sizes, config: Config) -> Agent:
         distribution=distribution,
         critic=make_critic(critics, config, lambda obs, action, task: jnp.concatenate([obs, action]), select),
         own_temperatures=True,
+        one_hot=True,
     )
 
 

@@ -35,6 +35,7 @@ def onehot(sizes: Sizes, config: Config) -> Agent:
         distribution=distribution,
         critic=task_critic(sizes.obs, sizes.action, sizes.tasks, config),
         on_sphere=True,
+        one_hot=True,
     )
 
 

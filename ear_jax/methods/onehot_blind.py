@@ -27,7 +27,8 @@ def onehot_blind(sizes: Sizes, config: Config) -> Agent:
         project=jnp.zeros_like,
         critic=seen_as(seeing.critic, lambda obs, action, task: (obs, action, jnp.zeros_like(task))),
         on_sphere=False,
+        one_hot=False,
     )
 
 
-METHOD = Method("onehot-blind", onehot_blind, unread=UNREAD)
+METHOD = Method("onehot-blind", onehot_blind, unread=(*UNREAD, "network.equivariant"))

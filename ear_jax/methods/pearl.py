@@ -76,7 +76,7 @@ METHOD = Method(
     "pearl",
     pearl,
     PearlLearner,
-    unread=(*OF_MAML, *OF_EMBEDDINGS),
+    unread=("network.equivariant", *OF_MAML, *OF_EMBEDDINGS),
     presets={
         "paper": {
             "network": {**_ENCODER, "width": 300, "decoder_layers": 3, "critic_layers": 3},

@@ -88,7 +88,7 @@ def make_program(config: Config) -> Program:
         raise UsageError(f"--replay.symmetry True would change nothing: {family.name} has no symmetry")
     if config.network.equivariant and family.symmetry is None:
         raise UsageError(f"--network.equivariant True would change nothing: {family.name} has no symmetry")
-    if config.network.equivariant and config.network.lte_size < 2:
+    if config.network.equivariant and method.reads("network.lte_size") and config.network.lte_size < 2:
         raise UsageError("--network.equivariant True turns the first two numbers of an LTE; --network.lte-size is 1")
     float32 = replace(config, network=replace(config.network, matmul="float32"))
     return Program(config, family, tasks, _agent(float32, family, tasks), _learner(config, family, tasks))

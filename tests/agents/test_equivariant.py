@@ -76,6 +76,23 @@ def test_critics_value_symmetric_tasks_alike(program, seen):
     assert abs(float(predict(params, obs, action, inputs[2]) - plain)) > 1e-4
 
 
+@pytest.mark.parametrize("method", ["multihead", "onehot"])
+def test_a_one_hot_turns_with_its_task(method, program):
+    """π(g τ, g s) = g π(τ, s) for τ = dir-15, turned by 90° and 180°, and mirrored; dir-30 is not symmetric to it."""
+    config = preset_config("ant-dir", "fast+equivariant", method)
+    agent = make_program(replace(config, network=replace(config.network, width=16))).agent
+    symmetry, policy = program.family.symmetry, agent.init_policy(jax.random.key(0))
+    obs, codes = jax.random.normal(jax.random.key(1), (27,)), agent.codes(policy)
+    np.testing.assert_array_equal(codes, np.eye(24))
+    act = jax.jit(agent.distribution)
+    plain = act(policy, codes[1], obs)
+    for variant, task in ((1, 7), (2, 13), (4, 23)):
+        found = act(policy, codes[task], symmetry.obs(variant, obs))
+        np.testing.assert_allclose(found.mean, symmetry.action(variant, plain.mean), atol=1e-5)
+        np.testing.assert_allclose(found.log_std, symmetry.action.unsigned(variant, plain.log_std), atol=1e-5)
+    assert np.abs(act(policy, codes[2], obs).mean - plain.mean).max() > 0.01
+
+
 def test_ltes_of_symmetric_tasks_are_symmetric(program, policy):
     """A quarter turn adds 90° to a direction and turns its LTE; 0° and 45° have theirs on a mirror's axis."""
     codes = np.asarray(jax.jit(program.agent.codes)(policy))

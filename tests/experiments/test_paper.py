@@ -130,7 +130,8 @@ def test_table_1_has_five_seeds_of_ear_and_three_of_the_others_on_every_family()
     ant, speeds = "ant-dir", ("halfcheetah-vel", "hopper-vel", "walker-vel")
     ear = {**{(family, "ear", "fast"): 5 for family in speeds}, (ant, "ear", "fast+equivariant"): 5}
     others = ("pearl", "multihead", "onehot", "maml", "onehot-blind")
-    assert counts == ear | {(ant, "ear", "fast"): 3} | {
+    turned = {(ant, "multihead", "fast+equivariant"): 3}
+    assert counts == ear | turned | {(ant, "ear", "fast"): 3} | {
         (family, agent, "fast"): 3 for family in (ant, *speeds) for agent in others
     }
 
