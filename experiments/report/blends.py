@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import product
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ear_jax.runs.statistics import interquartile_mean
-from experiments.paper import BOTH, CHEETAH, COMPOSED, FRONT, MET, RUN_JUMP, SLOWER, WALK_STAND, Analysis, numbers
+from experiments.paper import CHEETAH, MET, Analysis, numbers
 from experiments.report.blocks import Block, Table
-from experiments.report.formatting import MISSING, NAMES, VARIANTS, interval, lack, number, percent, printed, spread
+from experiments.report.formatting import MISSING, NAMES, interval, lack, number, printed, spread
 from experiments.report.measures import difference, unit
 from experiments.report.run_index import Run, RunIndex
 
-RUNNING = 1.0  # m/s backward, from which on a blend runs
 Column = Mapping[Any, str]  # a seed's cells by the key of their row
 
 
@@ -150,74 +148,3 @@ def beyond(analyses: Mapping[str, Sequence[Analysis]], index: RunIndex) -> list[
         )
         blocks.append(side_by_side(caption, "β", [row[0] for row in rows], paper, ours, index.runs(family)))
     return blocks
-
-
-def composition(index: RunIndex) -> list[Block]:
-    """Returns table 10: the β that the paper chose by eye, and the outcomes of our blends along β."""
-    panels = numbers()["table-10"]["panels"]
-    chosen = [[name, *(printed(cell) for cell in row)] for name, rows in panels.items() for row in rows]
-    blocks: list[Block] = [
-        Table("The β that the paper chose by eye for each composition.", ("seed", "composition", "β"), chosen)
-    ]
-    runs = {variant: index.runs(RUN_JUMP, variant=variant) for variant in ("", BOTH)}
-    for variant, several in runs.items():
-        for run, analysis in product(several, (*COMPOSED, SLOWER)):
-            for composed in run.of_seed(analysis.name, "seeds"):
-                seed = f"seed {run.seed}{VARIANTS[variant]}"
-                blocks.append(_along_beta(seed, run.document(analysis.name) or {}, composed["blends"]))
-                blocks += [] if analysis == WALK_STAND else [_doing_both(composed["blends"])]
-    if len(blocks) == 1:
-        blocks.append(f"Ours: {lack(runs[''])}.")
-    return [*blocks, *_both_at_once(runs)]
-
-
-def _both_at_once(runs: Mapping[str, list[Run]]) -> Iterator[Block]:
-    """Tells how many LTEs all over the sphere run with the hind foot raised, and how high at best.
-
-    Args:
-      runs: by variant.
-    """
-    for variant, run in ((variant, run) for variant, several in runs.items() for run in several):
-        for traded in run.of_seed(FRONT.name, "seeds"):
-            ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
-            mean = sum(ends) / 2
-            heights = [height for speed, height in traded["rewards"] if speed > RUNNING]
-            raised = sum(height > mean for height in heights)
-            yield (
-                f"Seed {run.seed}{VARIANTS[variant]}: of {len(traded['rewards']):,} LTEs, {len(heights):,} run "
-                f"backward faster than {RUNNING:g} m/s. Of these, {raised or 'none'} hold the hind foot higher than "
-                f"{number(mean, 2)} m, the mean of run and jump; at best it is at "
-                f"{number(max(heights, default=0.0), 2)} m."
-            )
-
-
-def _doing_both(blends: list[dict[str, Any]]) -> str:
-    """Tells which blends between two tasks run with the hind foot higher than the mean of the two."""
-    outcomes = {blend["beta"]: (-blend["outcome"]["velocity"], blend["outcome"]["height"]) for blend in blends}
-    mean = (outcomes[1][1] + outcomes[0][1]) / 2
-    wanted = f"faster than {RUNNING:g} m/s with the hind foot higher than {number(mean, 2)} m, the mean of the two ends"
-    between = {beta: outcome for beta, outcome in outcomes.items() if 0 < beta < 1}
-    found = {beta: at for beta, at in between.items() if at[0] > RUNNING and at[1] > mean}
-    if not found:
-        return f"No blend between them runs backward {wanted}."
-    each = ", ".join(f"β = {beta:g} ({number(at[0], 2)} m/s at {number(at[1], 2)} m)" for beta, at in found.items())
-    return f"Backward {wanted}: {each}. The end at β = 0 runs at {number(outcomes[0][0], 2)} m/s by itself."
-
-
-def _along_beta(seed: str, document: dict[str, Any], blends: list[dict[str, Any]]) -> Table:
-    first, second = document["between"]
-    feet = document["feet"]
-    rows = [
-        [
-            printed(blend["beta"]),
-            number(blend["outcome"]["velocity"], 2),
-            number(blend["outcome"]["height"], 2),
-            *(percent(blend["contact"][foot], 0) for foot in feet),
-            percent(blend["airborne"], 0),
-        ]
-        for blend in blends
-    ]
-    ends = f"{first} (β = 1) to {second} (β = 0)"
-    caption = f"Ours, {seed}: {ends}, {document['steps']} steps; means over the second half."
-    down = tuple(f"{foot} foot down" for foot in feet)
-    return Table(caption, ("β", "velocity (m/s)", "height (m)", *down, "no foot down"), rows)

@@ -18,13 +18,11 @@ from ear_jax.presets import preset_config
 from experiments.paper import (
     BOTH,
     CHEETAH,
-    COMPOSED,
-    COMPOSED_STILLS,
+    COMPOSITION_STILLS,
+    COMPOSITIONS,
     EXPERIMENTS,
     FRONT,
     RUN_JUMP,
-    SLOWER,
-    SLOWER_STILLS,
     STILLS,
     Analysis,
 )
@@ -160,10 +158,8 @@ def composed(id: str, index: RunIndex, out: Path) -> list[Block]:
     """Returns figure 4."""
     caption = "Outcomes along β, means over the second half of the roll-out, and the feet on the ground"
     runs = [run for variant in ("", BOTH) for run in index.runs(RUN_JUMP, variant=variant)]
-    strips = [block for analysis in (*COMPOSED_STILLS, SLOWER_STILLS) for block in _strips(runs, analysis, out)]
-    figures = [
-        block for analysis in (*COMPOSED, SLOWER) for block in _drawn(runs, analysis.name, caption, draw_compose, out)
-    ]
+    strips = [block for analysis in COMPOSITION_STILLS for block in _strips(runs, analysis, out)]
+    figures = [block for analysis in COMPOSITIONS for block in _drawn(runs, analysis.name, caption, draw_compose, out)]
     traded = "Backward speed (m/s) and height of the hind foot (m) under LTEs all over the sphere"
     return strips + figures + _drawn(runs, FRONT.name, traded, draw_front, out)
 

@@ -15,7 +15,7 @@ from experiments.paper import (
     SPEEDS_BEYOND,
     Experiment,
 )
-from experiments.report import blends, pictures, settings, spaces, tables
+from experiments.report import blends, composition, pictures, settings, spaces, tables
 from experiments.report.blocks import Block, Section, Table
 from experiments.report.formatting import MISSING, NAMES, NO_RUN, count, label, lack, number
 from experiments.report.measures import BLENDED
@@ -32,7 +32,7 @@ TABLES: dict[str, Callable[[RunIndex], list[Block]]] = {
     "table-7": tables.episode_ends,
     "table-8": tables.failures,
     "table-9": tables.normalisation,
-    "table-10": blends.composition,
+    "table-10": composition.composition,
     "agents": tables.agents,
     "wide": partial(tables.variants, "wide"),
     "gathered": partial(tables.variants, "gathered"),

@@ -10,8 +10,9 @@ import numpy as np
 from benchmarks import common
 from ear_jax.runs import records
 from experiments.inventory import RECORDS
-from experiments.paper import BOTH, EVALUATION, FRONT, RUN_JUMP, SLOWER
+from experiments.paper import BACK_JUMPING, BOTH, EVALUATION, FRONT, RUN_JUMP
 from experiments.report import measures
+from experiments.report.composition import motions_along_beta, raised_blends, raised_ltes
 from experiments.report.formatting import number
 from experiments.report.run_index import RunIndex
 from tests.embeddings.test_twenty_rewards import reaches
@@ -52,49 +53,35 @@ def of_running_and_jumping() -> list[str]:
     hops = next(task["outcome"] for task in evaluated["tasks"] if task["name"] == "both-2-5")
     ltes = np.array([task["lte"] for task in traded["trained"] if task["name"] in ("back-7", "jump-10", "both-2-5")])
     apart = np.degrees(np.arccos(np.clip(ltes @ ltes.T, -1, 1)))
-    *_, (fastest, _) = _raised(blends)
+    fastest, end = max(raised_blends(blends).both.values()), motions_along_beta(blends)[0]
     return [
-        f"Of {len(traded['rewards']):,} LTEs {_doing_both(traded)} run backward",
+        f"Of {len(traded['rewards']):,} LTEs {len(raised_ltes(traded).both)} run backward",
         f"at {number(-hops['velocity'], 1)} m/s with the hind foot at {number(hops['height'], 2)} m",
         f"Those two are {apart[0, 1]:.0f}° apart, and is {apart[0, 2]:.0f}° from the one and {apart[1, 2]:.0f}° from",
-        f"the fastest that holds the foot up ({number(fastest, 2)} m/s)",
-        f"alone, which drifts backward at {number(blends[0][0], 2)} m/s",
+        f"the fastest that holds the foot up ({number(fastest.speed, 2)} m/s)",
+        f"alone, which drifts backward at {number(end.speed, 2)} m/s",
     ]
 
 
 def of_run_jump_in_results() -> list[str]:
     """The same in `docs/results.md`."""
     traded, blends, _ = _trained_on_both()
-    *_, (slower, _), (fastest, height) = _raised(blends)
+    slower, fastest = sorted(raised_blends(blends).both.values())
     return [
-        f"{_doing_both(traded)} of {len(traded['rewards']):,} LTEs do",
-        f"two then run backward at {number(slower, 2)} to {number(fastest, 2)} m/s",
-        f"with the hind foot at {number(height, 2)} m",
-        f"alone already drifts at {number(blends[0][0], 2)} m/s",
+        f"{len(raised_ltes(traded).both)} of {len(traded['rewards']):,} LTEs do",
+        f"two then run backward at {number(slower.speed, 2)} to {number(fastest.speed, 2)} m/s",
+        f"with the hind foot at {number(fastest.height, 2)} m",
+        f"alone already drifts at {number(motions_along_beta(blends)[0].speed, 2)} m/s",
     ]
 
 
-def _trained_on_both() -> tuple[dict[str, Any], dict[float, tuple[float, float]], dict[str, Any]]:
-    """Returns a run's front, the speed and height of its blends by β, and its evaluation."""
+def _trained_on_both() -> tuple[dict[str, Any], list[dict[str, Any]], dict[str, Any]]:
+    """Returns a run's front, its blends along β, and its evaluation."""
     (run,) = RunIndex("fast").runs(RUN_JUMP, variant=BOTH)
     (traded,), (composed,), (evaluated,) = (
-        run.of_seed(name, "seeds") for name in (FRONT.name, SLOWER.name, EVALUATION.name)
+        run.of_seed(name, "seeds") for name in (FRONT.name, BACK_JUMPING.name, EVALUATION.name)
     )
-    blends = {
-        blend["beta"]: (-blend["outcome"]["velocity"], blend["outcome"]["height"]) for blend in composed["blends"]
-    }
-    return traded, blends, evaluated
-
-
-def _doing_both(traded: dict[str, Any]) -> int:
-    ends = [task["rewards"][1] for task in traded["trained"] if task["name"] in ("back-7", "jump-10")]
-    return sum(speed > 1 and height > np.mean(ends) for speed, height in traded["rewards"])
-
-
-def _raised(blends: dict[float, tuple[float, float]]) -> list[tuple[float, float]]:
-    """Returns speed and height of the blends with a raised hind foot, the fastest last."""
-    mean = (blends[0][1] + blends[1][1]) / 2
-    return sorted(at for beta, at in blends.items() if 0 < beta < 1 and at[1] > mean)
+    return traded, composed["blends"], evaluated
 
 
 def of_rewards() -> list[str]:
