@@ -32,7 +32,7 @@ def _draw(path: Path, entry: dict[str, Any], rewards: list[str]) -> Path:
     played, trained = np.array(entry["rewards"]), np.array([task["rewards"] for task in entry["trained"]])
     front, colour = played[entry["front"]], look(0)["color"]
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=(5.0, 3.4), layout="constrained")
+        figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
         axes.scatter(played[:, 0], played[:, 1], s=4, color="0.7", linewidths=0, label="an LTE")
         axes.step(*front.T, where="post", color=colour, label="Pareto front")
         axes.plot(*front.T, "o", markersize=3, color=colour)
