@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ear_jax.embeddings.interpolate import FRESH
 from ear_jax.runs.statistics import interquartile_mean
 from experiments.paper import CHEETAH, MET, Analysis, numbers
 from experiments.report.blocks import Block, Table
@@ -14,7 +15,9 @@ from experiments.report.formatting import MISSING, NAMES, interval, lack, number
 from experiments.report.measures import difference, unit
 from experiments.report.run_index import Run, RunIndex
 
+AGAIN = f"In brackets: the same β in the mean of {FRESH} fresh episodes."
 Column = Mapping[Any, str]  # a seed's cells by the key of their row
+Outcomes = dict[int, dict[float, float]]  # by seed and target
 
 
 def side_by_side(
@@ -33,23 +36,26 @@ def side_by_side(
 
 
 def midway(table: str, family: str, index: RunIndex) -> list[Block]:
-    """Returns tables 11 to 14: the β that best meets the value midway, and its outcome."""
+    """Returns tables 11 to 14: the β that best meets the value midway, and its outcomes."""
     panels = numbers()[table]["panels"]
     paper = {name: {target: _arrow(beta, outcome) for target, beta, outcome in rows} for name, rows in panels.items()}
     pairs = _pairs(index, family)
     ours = {
-        f"seed {seed}": {target: _arrow(pair["beta"], pair["outcome"]) for target, pair in by_target.items()}
-        for seed, by_target in pairs.items()
+        f"seed {seed}": {target: _met(pair) for target, pair in by_target.items()} for seed, by_target in pairs.items()
     }
-    outcomes = {seed: {target: pair["outcome"] for target, pair in row.items()} for seed, row in pairs.items()}
+    found, again = (
+        {seed: {target: pair[what] for target, pair in row.items() if what in pair} for seed, row in pairs.items()}
+        for what in ("outcome", "fresh_outcome")
+    )
     caption = (
-        f"{NAMES[family]}: target ({unit(family)}), and for each seed the suitable β → the outcome ({unit(family)})."
+        f"{NAMES[family]}: target ({unit(family)}), and for each seed the suitable β → the outcome ({unit(family)}). "
+        f"{AGAIN}"
     )
     targets = [row[0] for row in next(iter(panels.values()))]
     theirs = [[row[2] for row in rows] for rows in panels.values()]
     return [
         side_by_side(caption, "target", targets, paper, ours, index.runs(family)),
-        _miss(family, targets, theirs, outcomes),
+        _miss(family, targets, theirs, found, again),
     ]
 
 
@@ -69,7 +75,7 @@ def halfway(table: str, family: str, index: RunIndex) -> list[Block]:
     theirs = [[row[1] for row in rows] for rows in panels.values()]
     return [
         side_by_side(caption, "midway", targets, paper, ours, index.runs(family)),
-        _miss(family, targets, theirs, outcomes),
+        _miss(family, targets, theirs, outcomes, {}),
     ]
 
 
@@ -83,17 +89,25 @@ def _arrow(beta: float, outcome: float) -> str:
     return f"{number(beta, 2)} → {number(outcome, 2)}"
 
 
+def _met(pair: Mapping[str, Any]) -> str:
+    """Formats the β found between two tasks with its outcome, and that in fresh episodes where there are any."""
+    again = f" ({number(pair['fresh_outcome'], 2)})" if "fresh_outcome" in pair else ""
+    return _arrow(pair["beta"], pair["outcome"]) + again
+
+
 def _mean_outcome(family: str, target: float, outcomes: dict[int, dict[float, float]]) -> str:
     """Returns mean and spread over seeds. Directions are averaged as distances from the target: 359° and 1° give 0°."""
     values = [target + difference(family, row[target], target) for row in outcomes.values() if target in row]
     return spread(values, 2) if values else MISSING
 
 
-def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: dict[int, dict[float, float]]) -> str:
-    """Returns a sentence on the distance of outcomes from the values midway, the paper's and ours."""
-    complete = [
-        [row[target] for target in targets] for row in ours.values() if all(target in row for target in targets)
-    ]
+def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: Outcomes, again: Outcomes) -> str:
+    """Returns a sentence on the distance of outcomes from the values midway: the paper's, ours, ours played again."""
+
+    def complete(outcomes: Outcomes) -> list[list[float]]:
+        return [
+            [row[target] for target in targets] for row in outcomes.values() if all(target in row for target in targets)
+        ]
 
     def summary(outcomes: list[list[float]]) -> str:
         miss = np.abs(difference(family, np.array(outcomes), np.array(targets)))
@@ -101,9 +115,10 @@ def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: di
             return f"{number(float(interquartile_mean(miss)), 3)} {unit(family)} (1 seed)"
         return f"{interval(interquartile_mean, miss, digits=3)} {unit(family)} ({len(miss)} seeds)"
 
-    distance = summary(complete) if complete else MISSING
+    distance = summary(complete(ours)) if complete(ours) else MISSING
+    fresh = f", in fresh episodes {summary(complete(again))}" if complete(again) else ""
     measure = "Distance from the value midway, interquartile mean with its 95 % interval"
-    return f"{measure}: paper {summary(theirs)}; ours {distance}."
+    return f"{measure}: paper {summary(theirs)}; ours {distance}{fresh}."
 
 
 def met(index: RunIndex) -> list[Block]:
@@ -111,7 +126,7 @@ def met(index: RunIndex) -> list[Block]:
     panels = numbers()["table-4"]["panels"]
     paper = {name: {row[0]: _arrow(row[1], row[2]) for row in rows} for name, rows in panels.items()}
     ours = {f"seed {run.seed}": column for run in index.runs(CHEETAH) if (column := _met_by(run))}
-    caption = "HalfCheetah-Vel: commanded speed from 2 to 3 m/s, and for each seed the β → the speed (m/s)."
+    caption = f"HalfCheetah-Vel: commanded speed from 2 to 3 m/s, and for each seed the β → the speed (m/s). {AGAIN}"
     return [
         side_by_side(caption, "task", [row[0] for row in next(iter(panels.values()))], paper, ours, index.runs(CHEETAH))
     ]
@@ -119,7 +134,7 @@ def met(index: RunIndex) -> list[Block]:
 
 def _met_by(run: Run) -> dict[str, str]:
     blends = [pair for analysis in MET for pair in run.of_seed(analysis.name, "pairs")]
-    column = {f"vel-{pair['target']:g}": _arrow(pair["beta"], pair["outcome"]) for pair in blends}
+    column = {f"vel-{pair['target']:g}": _met(pair) for pair in blends}
     for evaluation in run.of_seed("evaluation", "seeds"):
         trained = {task["name"]: task["outcome"]["velocity"] for task in evaluation["tasks"]}
         column |= {name: _arrow(beta, trained[name]) for name, beta in (("vel-2", 1), ("vel-3", 0)) if name in trained}
