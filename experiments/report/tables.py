@@ -182,7 +182,10 @@ def _family_returns(index: RunIndex, family: str, methods: list[Method]) -> Tabl
         f"{NAMES[family]}: mean return over the training tasks. The paper: {EXPERIMENTS['table-1'].seeds} seeds, for "
         f"EAR-SAC {count(steps)} env steps and {count(updates)} updates. {_source(family)}"
     )
-    rows = [_method_returns(method, index.of(method), index.runs(family)) for method in methods]
+    rows = []
+    for method in methods:
+        ear = index.runs(family, variant="" if method.agent == "ear" else method.variant)
+        rows.append(_method_returns(method, index.of(method), ear))
     return Table(caption, ("method", "paper", *HEADS), rows)
 
 
