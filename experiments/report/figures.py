@@ -14,7 +14,7 @@ from ear_jax.figures.style import COLOURS, STYLE, legend_below, look, save_figur
 from ear_jax.files.replacing import folder
 from experiments.report.run_index import Run
 
-Lines = dict[str, list[Run]]  # runs by the label of their line
+Lines = dict[str, list[Run]]  # runs by the label of their line; one without runs keeps its look for other panels
 PANEL = (4.3, 3.3)  # inches
 
 
@@ -42,7 +42,7 @@ def training_curves(axes: Axes, title: str, lines: Lines, reference: tuple[str, 
       lines: the runs of each line.
       reference: label and height of a horizontal line to compare with.
     """
-    for index, (label, runs) in enumerate(lines.items()):
+    for index, label, runs in _drawn(lines):
         _curve(axes, index, f"{label}, {len(runs)} seed{'s'[: len(runs) > 1]}", [_steps(run) for run in runs])
     if reference:
         axes.axhline(reference[1], color="0.35", linestyle=(0, (1, 2)), linewidth=1.2, label=reference[0])
@@ -54,6 +54,11 @@ def task_curves(axes: Axes, title: str, run: Run) -> None:
     for index, task in enumerate(run.last["returns"]):
         _curve(axes, index, task, [{row["env_steps"]: row["returns"][task] for row in run.rows}])
     _finish(axes, title, columns=5)
+
+
+def _drawn(lines: Lines) -> list[tuple[int, str, list[Run]]]:
+    """Returns index, label and runs of the lines that have runs."""
+    return [(index, label, runs) for index, (label, runs) in enumerate(lines.items()) if runs]
 
 
 def _steps(run: Run) -> dict[int, float]:
@@ -86,7 +91,7 @@ def _short(steps: float, _: int) -> str:
 
 def adaptation_curves(axes: Axes, title: str, lines: Lines) -> None:
     """Draws mean return on unseen tasks against env steps a task: of the LTE found, and of the search's episodes."""
-    for index, (label, runs) in enumerate(lines.items()):
+    for index, label, runs in _drawn(lines):
         style = look(index)
         searched = [task for run in runs for task in run.of_seed("adaptation", "tasks") if task["epochs"]]
         epochs = min(len(task["epochs"]) for task in searched)

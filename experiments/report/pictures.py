@@ -36,13 +36,11 @@ FOLDER = "figures"
 
 
 def _panels(id: str, index: RunIndex, has: Callable[[Run], Any]) -> dict[str, Lines]:
-    """Returns a figure's lines by family; runs that lack its data are left out, and methods without such a run."""
+    """Returns a figure's lines by family. Runs that lack its data are left out, and families without a run."""
     panels: dict[str, Lines] = {}
     for method in EXPERIMENTS[id].methods:
-        runs = [run for run in index.of(method) if has(run)]
-        if runs:
-            panels.setdefault(method.family, {})[label(method)] = runs
-    return panels
+        panels.setdefault(method.family, {})[label(method)] = [run for run in index.of(method) if has(run)]
+    return {family: lines for family, lines in panels.items() if any(lines.values())}
 
 
 def training(id: str, index: RunIndex, out: Path) -> list[Block]:
