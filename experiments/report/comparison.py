@@ -51,7 +51,7 @@ WHY = (
     "MAML: a cheetah that runs at 5 or 6 m/s in all ten tasks misses their speeds by 2.5 m/s on average, which costs "
     "500 in 200 steps. The paper's return is about that, so little of it need come from adaptation.",
     "Ant-Dir: the paper's text penalises lateral speed with weight 1; the released code has weight 0. We use 0, except "
-    "while `ear refine` improves the equivariant ant. All returns are without the penalty.",
+    "while `ear refine` improves the ant. All returns are without the penalty.",
     "Ant-Dir: `fast` also trains on transitions that are rotated by quarter turns and mirrored; the paper does not.",
     "Run-Jump: in the paper the jump is the height of the hind foot while running backward; in the code it is the "
     "height of the torso while running forward. We follow the paper.",
@@ -212,8 +212,8 @@ def _turned(index: RunIndex) -> Iterator[str]:
     ]
     if ours:
         yield (
-            "Ant-Dir: where the networks see one task in place of all that are symmetric to it, each of four tasks "
-            "learns from the steps of four to eight. After half the updates the return is then higher: "
+            "Ant-Dir: where the networks see one task in place of all that are symmetric to it, they learn 4 "
+            "tasks instead of 24. After half the updates the return is then higher: "
             f"{', '.join(ours)}."
         )
 

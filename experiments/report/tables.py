@@ -111,7 +111,7 @@ def variants(id: str, index: RunIndex) -> list[Block]:
 
 def refined(index: RunIndex) -> list[Block]:
     """Returns a table of our own: EAR-SAC and MHMT-SAC on every family, before and after `ear refine`."""
-    rows, notes = [], ""
+    rows, notes = [], []
     for method in EXPERIMENTS["refined"].methods:
         runs = [run for run in index.of(method) if refinements([run])]
         found, paper = refinements(runs), paper_return(method.family, method.agent)
@@ -127,16 +127,15 @@ def refined(index: RunIndex) -> list[Block]:
             seeds(runs),
             *(steps or [MISSING]),
         )
-        name = (NAMES[method.family], label(method))
-        rows.append([*name, *cells])
+        rows.append([NAMES[method.family], label(method), *cells])
         if options := next((one["options"] for one in told if "options" in one), {}):
-            notes += f" {', '.join(name)} learns with{env_flags(options)}; its returns are without."
+            notes.append(f"{NAMES[method.family]} is refined with{env_flags(options)}; its returns are without.")
     columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "env steps of the refinement")
     caption = (
         "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "
         "that blend, before → after. MHMT-SAC's heads do not blend."
     )
-    return [Table(caption + notes, ("family", "method", *columns), rows)]
+    return [Table(" ".join([caption, *dict.fromkeys(notes)]), ("family", "method", *columns), rows)]
 
 
 def _before_and_after(runs: Sequence[Run], measure: str) -> str:
