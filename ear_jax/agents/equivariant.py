@@ -23,7 +23,7 @@ from ear_jax.envs.symmetry import Symmetry, origins
 from ear_jax.process.target import exact_matmul
 from ear_jax.tasks import TaskParams
 
-TIE = 1e-5  # by which an earlier variant wins where two are as close
+TIE = 1e-5  # by which an earlier value wins where two are as large
 
 
 def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
@@ -47,7 +47,7 @@ def equivariant(agent: Agent, symmetry: Symmetry, tasks: TaskParams) -> Agent:
 
     def canonical_code(code: jax.Array) -> tuple[jax.Array, jax.Array]:
         if agent.one_hot:
-            return jnp.asarray(to_sector)[jnp.argmax(code)], code @ np.eye(len(first), dtype=np.float32)[first]
+            return _largest(code) @ to_sector, code @ np.eye(len(first), dtype=np.float32)[first]
         variant = nearest(symmetry, code)
         return variant, turned(symmetry, variant, code)
 
@@ -88,9 +88,13 @@ def nearest(symmetry: Symmetry, vector: jax.Array) -> jax.Array:
     """Returns the one-hot [variants] of the variant that brings a vector's first two numbers into the sector."""
     middle = math.pi / symmetry.variants
     each = vector[:2][symmetry.plane.order] * symmetry.plane.sign
-    along = jnp.sum(each * np.array([math.cos(middle), math.sin(middle)], np.float32), axis=1)
-    closeness = jax.lax.stop_gradient(along) - TIE * np.arange(symmetry.variants)
-    return (closeness == jnp.max(closeness)).astype(jnp.float32)
+    return _largest(jnp.sum(each * np.array([math.cos(middle), math.sin(middle)], np.float32), axis=1))
+
+
+def _largest(values: jax.Array) -> jax.Array:
+    """Returns the one-hot of the largest value, of the first where several are as large."""
+    ranked = jax.lax.stop_gradient(values) - TIE * np.arange(len(values))
+    return (ranked == jnp.max(ranked)).astype(jnp.float32)
 
 
 def turned(symmetry: Symmetry, variant: jax.Array, code: jax.Array) -> jax.Array:

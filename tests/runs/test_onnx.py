@@ -41,9 +41,10 @@ def test_onnxruntime_acts_as_jax_does(method):
     acts_as_jax_does(agent, policy, 4 * history)
 
 
-def test_onnxruntime_turns_with_the_robot_as_jax_does():
+@pytest.mark.parametrize("method", ["ear", "multihead", "onehot"])
+def test_onnxruntime_turns_with_the_robot_as_jax_does(method):
     pytest.importorskip("onnxruntime", reason="needs the extra onnx")
-    config = preset_config("ant-dir", "fast+equivariant")
+    config = preset_config("ant-dir", "fast+equivariant", method)
     agent = make_program(dataclasses.replace(config, network=dataclasses.replace(config.network, width=16))).agent
     acts_as_jax_does(agent, agent.init_policy(jax.random.key(0)), 27)
 
