@@ -212,9 +212,8 @@ def _turned(index: RunIndex) -> Iterator[str]:
     ]
     if ours:
         yield (
-            "Ant-Dir: where the networks see one task in place of all that are symmetric to it, they learn 4 "
-            "tasks instead of 24. After half the updates the return is then higher: "
-            f"{', '.join(ours)}."
+            "Ant-Dir: where the networks see one task in place of all that are symmetric to it, they learn 4 tasks "
+            f"instead of 24. After half the updates the return is then higher: {', '.join(ours)}."
         )
 
 
