@@ -115,10 +115,11 @@ def _miss(family: str, targets: list[float], theirs: list[list[float]], ours: Ou
             return f"{number(float(interquartile_mean(miss)), 3)} {unit(family)} (1 seed)"
         return f"{interval(interquartile_mean, miss, digits=3)} {unit(family)} ({len(miss)} seeds)"
 
-    distance = summary(complete(ours)) if complete(ours) else MISSING
-    fresh = f", in fresh episodes {summary(complete(again))}" if complete(again) else ""
+    played, fresh = complete(ours), complete(again)
+    distance = summary(played) if played else MISSING
+    distance += f", in fresh episodes {summary(fresh)}" if fresh else ""
     measure = "Distance from the value midway, interquartile mean with its 95 % interval"
-    return f"{measure}: paper {summary(theirs)}; ours {distance}{fresh}."
+    return f"{measure}: paper {summary(theirs)}; ours {distance}."
 
 
 def met(index: RunIndex) -> list[Block]:
