@@ -134,7 +134,7 @@ def costs() -> str:
     """Returns the measured part of docs/scale.md."""
     found, lines = newest("scale"), []
     lines += [
-        "| seeds | tasks | collection of an epoch | an update | of it a seed and task | an evaluation | state | "
+        "| seeds | tasks | collection of an epoch | an update | an update, per seed and task | an evaluation | state | "
         "peak memory |",
         "|" + "---|" * 8,
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +47,7 @@ def read_settings(path: Path) -> Settings:
 
 def with_settings(base: Config, settings: Settings) -> Config:
     """Returns a configuration in which the given settings replace those of `base`."""
-    config: Config = from_dict(_over(dataclasses.asdict(base), settings))
+    config: Config = from_dict(merged(dataclasses.asdict(base), settings))
     return config
 
 
@@ -67,9 +68,9 @@ def _line(name: str, value: Any) -> str:
     return f"{name} = {json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)}"
 
 
-def _over(base: Settings, changes: Settings) -> Settings:
+def merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Merges nested dictionaries; the second wins."""
-    return {
-        **base,
-        **{name: _over(base[name], value) if isinstance(value, dict) else value for name, value in changes.items()},
-    }
+    both = dict(base)
+    for name, value in changes.items():
+        both[name] = merged(base.get(name, {}), value) if isinstance(value, dict) else value
+    return both

@@ -5,10 +5,10 @@ Families and methods are imported when a preset is asked for theirs, so that its
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from ear_jax.config import Config, flag, flat, flat_tree, from_dict
+from ear_jax.config_files import merged
 from ear_jax.errors import UsageError, known_name
 
 # The defaults are the paper's for HalfCheetah-Vel.
@@ -103,14 +103,14 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
 
     base, variants = parts(preset)
     method = find_method(agent)
-    changes = _merge(PRESETS[base], family_presets(family).get(base, {}))
-    changes = _merge(changes, method.presets.get(base, {}))
-    changes = _merge(changes, method.families.get(base, {}).get(family, {}))
+    changes = merged(PRESETS[base], family_presets(family).get(base, {}))
+    changes = merged(changes, method.presets.get(base, {}))
+    changes = merged(changes, method.families.get(base, {}).get(family, {}))
     for variant in variants:
         for name in flat_tree(VARIANTS[variant]):
             if not method.reads(name):
                 raise UsageError(f"agent {agent!r} has no use for {flag(name)}, which --preset {preset} sets")
-        changes = _merge(_merge(changes, VARIANTS[variant]), method.presets.get(variant, {}))
+        changes = merged(merged(changes, VARIANTS[variant]), method.presets.get(variant, {}))
     config: Config = from_dict({"family": family, "preset": preset, "agent": agent, **changes})
     return config
 
@@ -120,7 +120,7 @@ def draft_config(family: str, preset: str, agent: str = "ear") -> Config:
     base, variants = parts(preset)
     changes = PRESETS[base]
     for variant in variants:
-        changes = _merge(changes, VARIANTS[variant])
+        changes = merged(changes, VARIANTS[variant])
     config: Config = from_dict({"family": family, "preset": preset, "agent": agent, **changes})
     return config
 
@@ -129,11 +129,3 @@ def parts(preset: str) -> tuple[str, list[str]]:
     """Splits the name of a preset into its base and variants; raises UsageError if there is no such base or variant."""
     base, *variants = preset.split("+")
     return known_name("preset", base, PRESETS), [known_name("preset variant", one, VARIANTS) for one in variants]
-
-
-def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Merges nested dictionaries; the second wins."""
-    merged = dict(base)
-    for name, value in changes.items():
-        merged[name] = _merge(base.get(name, {}), value) if isinstance(value, dict) else value
-    return merged

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ear_jax.embeddings.map import space_of, survey
+from ear_jax.embeddings.map import play_maps, space_of
 from ear_jax.process.environment import start_jax
 from ear_jax.process.terminal import say
 from ear_jax.runs import records
@@ -33,7 +33,7 @@ def measure(record: Path) -> dict[str, Any]:
     program = trained.program
     codes = np.asarray(jax.vmap(program.agent.codes)(trained.policies))  # [seeds, tasks, code]
     radius = 1.0 if program.agent.on_sphere else float(np.linalg.norm(codes, axis=-1).mean())
-    maps = survey(trained, PLACES, 1, 0, None if program.agent.on_sphere else radius)
+    maps = play_maps(trained, PLACES, 1, 0, None if program.agent.on_sphere else radius)
     spaces = [
         {"seed": program.config.seed + index, "space": space_of(one, program.family, program.tasks, codes[index])}
         for index, one in enumerate(maps)

@@ -43,7 +43,7 @@ def product(means: jax.Array, variances: jax.Array, valid: jax.Array) -> Posteri
 
     As in PEARL's code (katerakelly/oyster), the prior is not a factor of the product.
     """
-    precision = jnp.where(valid[:, None], 1 / variances, 0.0)
+    means, precision = (jnp.where(valid[:, None], leaf, 0.0) for leaf in (means, 1 / variances))
     total = jnp.sum(precision, axis=0)
     any_valid = jnp.any(valid)
     variance = 1 / jnp.where(any_valid, total, 1.0)

@@ -72,7 +72,11 @@ def explore(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
     check_writable(trained.directory)
     seed = trained.program.config.seed + command.policy
     path = trained.directory / name(command, f"seed{seed}")
-    described = None if command.replay else live(command, trained)
+    try:
+        described = None if command.replay else live(command, trained)
+    except (RunError, UsageError) as error:
+        say(f"The page replays roll-outs, as {error}")
+        described = None
     if described is not None:
         page.write_live_page(path, [described], wasm.find())
         return path, {"seed": seed, "live": True, "trained": described[0]["tasks"]}
@@ -82,17 +86,17 @@ def explore(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
     return write_page(path, {"title": title, **document}, loops), {"seed": seed, "live": False, **document}
 
 
-def live(command: ExploreCommand, trained: Any) -> tuple[dict[str, Any], str] | None:
-    """Describes a run's robot for the live page; says why if that cannot be made."""
+def live(command: ExploreCommand, trained: Any) -> tuple[dict[str, Any], str]:
+    """Describes a run's robot for the live page.
+
+    Raises:
+      UsageError, RunError: the page cannot be made, or MuJoCo's WebAssembly is missing.
+    """
     from ear_jax.rendering.live import robot, wasm
 
-    try:
-        wasm.find()
-        with phase(f"rolling out {command.places} LTEs"):
-            return robot.describe(trained, command.policy, command.places, command.seed)
-    except (RunError, UsageError) as error:
-        say(f"The page replays roll-outs, as {error}")
-        return None
+    wasm.find()
+    with phase(f"rolling out {command.places} LTEs"):
+        return robot.describe(trained, command.policy, command.places, command.seed)
 
 
 def gallery(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
@@ -100,14 +104,13 @@ def gallery(command: ExploreCommand) -> tuple[Path, dict[str, Any]]:
     from ear_jax.rendering.live import page, wasm
 
     found = wasm.find()
-    described = []
+    robots = []
     for agent in pretrained.names():
         one = replace(command, run=Path(f"{pretrained.PREFIX}{agent}"))
         try:
-            described.append(live(one, one.load()))
-        except RunError as error:  # an extra that is not installed
+            robots.append(live(one, one.load()))
+        except (RunError, UsageError) as error:  # an extra that is not installed, or a robot that the page cannot show
             say(f"{agent} is left out: {error}")
-    robots = [one for one in described if one is not None]
     path = page.write_live_page(FOLDER / name(command), robots, found)
     return path, {"live": True, "robots": [description["name"] for description, _ in robots]}
 

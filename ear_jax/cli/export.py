@@ -18,11 +18,11 @@ from ear_jax.files.replacing import write_text
 from ear_jax.pretrained import SUFFIX
 from ear_jax.process.terminal import say
 from ear_jax.runs import records
+from ear_jax.runs.onnx import SUFFIX as ONNX
 
 if TYPE_CHECKING:
     from ear_jax.runs.trained import Trained
 
-ONNX = ".onnx"
 CARD = "README.md"  # where model hubs look for it
 
 

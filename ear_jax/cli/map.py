@@ -31,12 +31,12 @@ def main(words: list[str]) -> None:
     command = parse(MapCommand, words, "map")
     check_least(command, places=10, episodes=1)
     trained = command.load()
-    from ear_jax.embeddings.map import check_sphere, describe, survey
+    from ear_jax.embeddings.map import check_sphere, describe, play_maps
     from ear_jax.figures.map import draw_map
 
     check_sphere(trained, 3)
     with phase(f"rolling out {command.places} LTEs"):
-        document = describe(trained, survey(trained, command.places, command.episodes, command.seed))
+        document = describe(trained, play_maps(trained, command.places, command.episodes, command.seed))
     kept = partial(keep, trained.directory, "map", label_of(command), document, draw_map)
     show_and_keep(document, command.json, _print, kept)
 

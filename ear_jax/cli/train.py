@@ -141,7 +141,8 @@ def print_cost(program: Program) -> None:
 
 
 def meet(command: Any) -> None:
-    """Joins the other processes of a run over several hosts; raises UsageError or RunError."""
+    """Checks the place and joins the other processes of a run over several hosts; raises UsageError or RunError."""
+    command.check_place()
     if command.dry_run and command.hosts != Hosts():
         raise UsageError("--dry-run estimates a run on one host; leave out --hosts and give the seeds of one")
     join(command.hosts)
@@ -163,7 +164,7 @@ def read(
 
     Args:
       words: the words after the subcommand.
-      kind: the command's dataclass; it has `config`, which alone is required, and `check_place`.
+      kind: the command's dataclass; it has `config`, which alone is required.
       name: the subcommand.
       before_jax: called with the command before JAX is imported, as far as it can be parsed until then.
     """
@@ -183,7 +184,6 @@ def read(
         draft = draft_config(family, preset, agent)
         command = parse(kind, [family, *rest], name, kind(with_settings(draft, settings)))
         check(command.config)
-        command.check_place()
         before_jax(command)
     with sign_of_life("loading"):
         start_jax()

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax.agents.networks import Params
-from ear_jax.embeddings.map import PLACES, LteMap, check_reach, code_for_target, reaches, survey
-from ear_jax.embeddings.search import Progress, Search, episodes_an_epoch, find_codes, reevaluate
+from ear_jax.embeddings.map import PLACES, LteMap, check_reach, code_for_target, play_maps, reaches
+from ear_jax.embeddings.search import Progress, Search, env_steps_an_epoch, find_codes, reevaluate
 from ear_jax.envs import Family
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
@@ -55,7 +55,7 @@ def adapt(
     check_sizes(trained, len(tasks), search, episodes)
     mapped = search is None or (program.agent.embed is not None and program.agent.on_sphere)
     targets = [(task, task.target) for task in tasks.tasks if task.target is not None and mapped]
-    maps = survey(trained, places, 1, seed) if targets else []
+    maps = play_maps(trained, places, 1, seed) if targets else []
     _check_targets(maps, program.family, [target for _, target in targets], search, within_reach)
     from_map = zero_shot(trained, maps, targets, episodes, seed) if targets else {}
     searched = search_all(trained, tasks, search, seed, episodes) if search else {}
@@ -71,12 +71,12 @@ def adapt(
         for run_seed in range(config.seed, config.seed + config.seeds)
         for task in tasks.tasks
     ]
-    episodes_searched = len(tasks) * search.epochs * episodes_an_epoch(program, search) if search else 0
-    steps_per_episode = config.seeds * program.family.episode_length  # all seeds together
+    searched_steps = len(tasks) * search.epochs * env_steps_an_epoch(program, search) if search else 0
+    mapped_steps = places * program.family.episode_length if maps else 0
     return {
         "tasks": adapted,
-        "env_steps": steps_per_episode * episodes_searched,
-        "map_env_steps": steps_per_episode * (places if maps else 0),
+        "env_steps": config.seeds * searched_steps,
+        "map_env_steps": config.seeds * mapped_steps,
         "seconds": round(time.perf_counter() - began, 2),
     }
 

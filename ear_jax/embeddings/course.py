@@ -99,14 +99,17 @@ def course_of(family: Family, profile: str | None, path: str | None, survey: Sur
     survey it is 1 m/s, and a path of any length is a course.
 
     Raises:
-      UsageError: as `profile_course` and `path_course`.
+      UsageError: as `profile_course` and `path_course`, or no surveyed LTE lasts an episode.
     """
     if profile is not None:
         return profile_course(family, profile)
     speed = None
     if survey and family.plane:
         late = [survey.outcomes[name][..., survey.steps // 2 :].mean(axis=-1) for name in family.plane]
-        speed = PACE * float(np.median(np.hypot(*late)[survey.lengths == survey.steps]))
+        lasting = survey.lengths == survey.steps
+        if not lasting.any():
+            raise UsageError("under no surveyed LTE does the robot last an episode, so it cannot follow a path")
+        speed = PACE * float(np.median(np.hypot(*late)[lasting]))
     return path_course(family, path or "", speed)
 
 

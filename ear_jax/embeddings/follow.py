@@ -235,7 +235,7 @@ def _describe(
             "errors": np.round(errors, 4).tolist(),
             **beside,
             "lasted": float(lasted.mean()),
-            "turn": round(float(turns.mean() / dt), 4),
+            "turn": round(float(turns.mean() / dt), 4) if len(turns) else 0.0,
             "followed": np.round(np.cumsum(followed, axis=0) * dt if course.is_path else followed, 3).tolist(),
             "ltes": np.round(codes, 5).tolist(),
         }

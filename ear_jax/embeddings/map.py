@@ -37,7 +37,7 @@ class LteMap:
     lengths: np.ndarray  # mean length of the episodes, steps [places]
 
 
-def survey(trained: Trained, places: int, episodes: int, seed: int, radius: float | None = None) -> list[LteMap]:
+def play_maps(trained: Trained, places: int, episodes: int, seed: int, radius: float | None = None) -> list[LteMap]:
     """Plays every seed's policy under codes spread evenly over the sphere.
 
     Args:

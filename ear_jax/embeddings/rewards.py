@@ -14,11 +14,12 @@ import numpy as np
 from ear_jax.agents.networks import Params
 from ear_jax.embeddings.adapt import check_sizes, search_all
 from ear_jax.embeddings.imagine import Imagined, best_imagined, find_imagined
-from ear_jax.embeddings.search import Search, episodes_an_epoch
+from ear_jax.embeddings.search import Search, env_steps_an_epoch
 from ear_jax.embeddings.survey import PLACES, codes_for_returns, find_survey, returns_of
-from ear_jax.envs.asked import Reward, asked, reward_functions
+from ear_jax.envs.asked import Reward, asked, reward_functions, score_outcomes
+from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
-from ear_jax.learning.episodes import Episodes, play
+from ear_jax.learning.episodes import record_from, starts
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import evaluation_keys
@@ -84,7 +85,8 @@ def adapt_to_rewards(
         answers[way] = find()
         seconds[way] = round(time.perf_counter() - began, 2)
     costs = {way: {"env_steps": found.env_steps, "seconds": seconds[way]} for way, found in answers.items()}
-    return {"tasks": _describe(asking, tasks, answers, episodes, seed), "costs": costs, "episodes": episodes}
+    played = _play_again(trained, functions, np.stack([found.codes for found in answers.values()], 1), episodes, seed)
+    return {"tasks": _describe(trained, tasks.names, answers, *played), "costs": costs, "episodes": episodes}
 
 
 def _from_survey(trained: Trained, rewards: Sequence[Reward], places: int, seed: int) -> Answers:
@@ -105,23 +107,25 @@ def _by_search(asking: Trained, tasks: TaskSet, search: Search, episodes: int, s
     rows = [[found[program.config.seed + index, name] for name in tasks.names] for index in range(program.config.seeds)]
     epochs = [[cell["epochs"] for cell in row] for row in rows]
     last = np.array([[curve[-1]["best_of_epoch"] for curve in row] for row in epochs])
-    played = program.config.seeds * len(tasks) * search.epochs * episodes_an_epoch(program, search)
+    played = program.config.seeds * len(tasks) * search.epochs * env_steps_an_epoch(program, search)
     codes = np.array([[cell["lte"] for cell in row] for row in rows])
-    return Answers(codes, last, played * program.family.episode_length, epochs)
+    return Answers(codes, last, played, epochs)
 
 
 def _describe(
-    asking: Trained, tasks: TaskSet, answers: dict[str, Answers], episodes: int, seed: int
+    trained: Trained,
+    rewards: Sequence[str],
+    answers: dict[str, Answers],
+    returns: np.ndarray,
+    late: dict[str, np.ndarray],
 ) -> list[dict[str, Any]]:
-    """Plays all answers again and returns a document for each seed and reward; the best answer gives its LTE."""
-    program, ways = asking.program, list(answers)
-    codes = np.stack([found.codes for found in answers.values()], axis=1)  # [seeds, ways, rewards, code]
-    returns, late = _play_again(asking, codes, tasks, episodes, seed)
+    """Returns a document for each seed and reward; the answer that returned most when played again gives its LTE."""
+    program, ways = trained.program, list(answers)
 
     def answer(way: str, index: int, row: int) -> dict[str, Any]:
         place = index, ways.index(way), row
         return {
-            "lte": codes[place].tolist(),
+            "lte": answers[way].codes[index, row].tolist(),
             "predicted": float(answers[way].predicted[index, row]),
             "reevaluated": float(returns[place]),
             "outcome": {name: float(value[place]) for name, value in late.items()},
@@ -131,27 +135,41 @@ def _describe(
         found = {way: answer(way, index, row) for way in ways}
         best = max(found, key=lambda way: found[way]["reevaluated"])
         epochs = next((one.epochs[index][row] for one in answers.values() if one.epochs), [])
-        about = {"seed": program.config.seed + index, "name": tasks.names[row], "target": None}
+        about = {"seed": program.config.seed + index, "name": rewards[row], "target": None}
         return {**about, "lte": found[best]["lte"], "best": best, "epochs": epochs, "answers": found}
 
-    return [describe(index, row) for index in range(program.config.seeds) for row in range(len(tasks))]
+    return [describe(index, row) for index in range(program.config.seeds) for row in range(len(rewards))]
 
 
 def _play_again(
-    asking: Trained, codes: np.ndarray, tasks: TaskSet, episodes: int, seed: int
+    trained: Trained, rewards: Sequence[Reward], codes: np.ndarray, episodes: int, seed: int
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Plays codes [seeds, ways, rewards, code] in fresh episodes, all from the same starts.
 
     Returns:
       Mean returns, and mean outcomes over the second half of the episodes by name, each [seeds, ways, rewards].
+
+    Raises:
+      UsageError: a reward is not finite in these episodes.
     """
-    program = asking.program
+    program, steps = trained.program, trained.program.family.episode_length
+    tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], len(rewards)), program.tasks.params)
+    still = jnp.zeros((steps, len(rewards), episodes, program.family.action_size))
     keys = evaluation_keys(jax.random.split(jax.random.key(seed), len(codes)), 0)
 
-    def of_way(policy: Params, codes: jax.Array, key: jax.Array) -> Episodes:
-        return play(program.family, program.agent, policy, codes, tasks.params, key, episodes)
+    def of_way(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[Outcome, jax.Array]:
+        begun = starts(program.family, tasks, key, episodes)
+        return record_from(program.family, program.agent, policy, codes, begun, still)
 
-    of_all = jax.vmap(jax.vmap(of_way, in_axes=(None, 0, None)))
-    played = jax.jit(of_all, compiler_options=compiler_options())(asking.policies, jnp.asarray(codes), keys)
-    returns, late = jax.device_get((played.returns, played.late))
-    return returns.mean(axis=-1), {name: value.mean(axis=-1) for name, value in late.items()}
+    of_all = jax.jit(jax.vmap(jax.vmap(of_way, in_axes=(None, 0, None))), compiler_options=compiler_options())
+    # Outcomes, and whether a step is part of an episode: [seeds, ways, steps, rewards, episodes].
+    outcomes, playing = jax.device_get(of_all(trained.policies, jnp.asarray(codes), keys))
+    returns = [
+        score_outcomes(reward, {name: value[..., row, :] for name, value in outcomes.items()}, playing[..., row, :])
+        for row, reward in enumerate(rewards)
+    ]
+    step = np.arange(1, steps + 1)[:, None, None]
+    late = playing & (step > playing.sum(axis=2, keepdims=True) // 2)
+    counts = np.maximum(late.sum(axis=2), 1)
+    means = {name: (np.where(late, value, 0.0).sum(axis=2) / counts).mean(-1) for name, value in outcomes.items()}
+    return np.stack([of_steps.sum(axis=2).mean(axis=-1) for of_steps in returns], axis=-1), means

@@ -17,7 +17,7 @@ from ear_jax.learning.episodes import achieved, play
 from ear_jax.learning.maml import MamlLearner
 from ear_jax.learning.rollout import act_with, first_episode, rollout, score
 from ear_jax.runs.training import Program
-from ear_jax.tasks import TaskParams
+from ear_jax.tasks import TaskParams, task_count
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,12 @@ def episodes_an_epoch(program: Program, search: Search) -> int:
     return 1 if program.agent.infer else search.candidates
 
 
+def env_steps_an_epoch(program: Program, search: Search) -> int:
+    """Returns the env steps that those episodes may take."""
+    steps = program.config.collect.steps // 2 if program.agent.tuned else program.family.episode_length
+    return steps * episodes_an_epoch(program, search)
+
+
 def search_codes(
     program: Program, policy: Params, tasks: TaskParams, key: jax.Array, search: Search, episodes: int
 ) -> Progress:
@@ -84,7 +90,7 @@ def search_codes(
       episodes: fresh episodes in which the best candidate of each epoch is evaluated again.
     """
     family, agent = program.family, program.agent
-    count = len(jax.tree.leaves(tasks)[0])
+    count = task_count(tasks)
     key_init, key_epochs = jax.random.split(key)
     init = partial(cem.init, elites=search.elites, code_size=agent.code_size, project=agent.project)
     ask = partial(cem.ask, samples=search.samples, sigma=search.sigma, project=agent.project)
@@ -126,11 +132,11 @@ def infer_codes(
     family, agent = program.family, program.agent
     assert agent.infer
     infer, scale = jax.vmap(agent.infer, in_axes=(None, 0)), program.config.sac.reward_scale
-    count, steps = len(jax.tree.leaves(tasks)[0]), family.episode_length
+    count, steps = task_count(tasks), family.episode_length
     env = BatchedEnv(family)
 
     def record(step: Transition) -> tuple[jax.Array, ...]:
-        kept = (step.obs, step.action, step.outcome, step.terminated | ~step.valid)
+        kept = (step.obs, step.action, step.outcome, step.terminated | ~step.valid, step.valid)
         return jax.tree.map(lambda leaf: leaf[:, 0], kept)  # [tasks, …]
 
     def trial(context: Context, index_and_key: tuple[jax.Array, jax.Array]) -> tuple[Context, Progress]:
@@ -140,14 +146,15 @@ def infer_codes(
         noise = jax.random.normal(key_noise, (steps, count, 1, family.action_size))
         act = act_with(agent, policy, codes)
         _, played = rollout(env, act, env.start(key_start, tasks, 1), noise, record)
-        obs, action, outcome, over = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), played)  # [tasks, steps, …]
-        playing = first_episode(over, axis=1)
-        reward = score(family, outcome, tasks)
+        played = jax.tree.map(lambda leaf: jnp.swapaxes(leaf, 0, 1), played)  # [tasks, steps, …]
+        obs, action, outcome, over, valid = played
+        playing = first_episode(over, axis=1) & valid
+        reward = jnp.where(playing, score(family, outcome, tasks), 0.0)
         new = Context(obs, action, scale * reward, playing)
         context = jax.tree.map(lambda all, part: jax.lax.dynamic_update_slice_in_dim(all, part, index, 1), context, new)
         mean = infer(policy, context).mean
         again, reached = reevaluate(program, policy, mean, tasks, key_again, episodes)
-        return context, Progress(jnp.sum(jnp.where(playing, reward, 0.0), axis=1), again, reached, mean)
+        return context, Progress(jnp.sum(reward, axis=1), again, reached, mean)
 
     size = (count, trials * steps)
     obs, action = jnp.zeros((*size, family.observation_size)), jnp.zeros((*size, family.action_size))
@@ -181,5 +188,5 @@ def tune_codes(
         again, reached = reevaluate(program, policy, codes, tasks, key_again, episodes)
         return codes, Progress(returns.mean(axis=1), again, reached, codes)
 
-    origin = jnp.zeros((len(jax.tree.leaves(tasks)[0]), program.agent.code_size))
+    origin = jnp.zeros((task_count(tasks), program.agent.code_size))
     return jax.lax.scan(step, origin, jax.random.split(key, steps))[1]

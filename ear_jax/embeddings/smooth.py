@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 BANDWIDTHS = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3)  # radians
@@ -21,24 +23,23 @@ def best_bandwidth(surveyed: np.ndarray, differences: np.ndarray) -> float:
       differences: of a quantity, [i, j] that of place j minus that of place i.
     """
 
-    def error(bandwidth: float) -> float:
-        weights = _weights(surveyed, surveyed, bandwidth, leave_out=True)
-        return float(np.mean(np.sum(weights * differences, axis=1) ** 2))
-
-    return min(BANDWIDTHS, key=error)
+    errors = [np.mean(np.sum(weights * differences, axis=1) ** 2) for weights in _of_the_others(surveyed)]
+    return BANDWIDTHS[int(np.argmin(errors))]
 
 
 def smooth_best(surveyed: np.ndarray, values: np.ndarray, codes: np.ndarray) -> np.ndarray:
     """Estimates as `smooth` does, each column of values [places, k] with the width that predicts its places best."""
-    errors = []
-    for bandwidth in BANDWIDTHS:
-        weights = _weights(surveyed, surveyed, bandwidth, leave_out=True)
-        errors.append(((weights @ values - values) ** 2).mean(axis=0))
+    errors = [((weights @ values - values) ** 2).mean(axis=0) for weights in _of_the_others(surveyed)]
     best = np.argmin(errors, axis=0)
     estimates = np.empty((len(codes), values.shape[1]))
     for row in np.unique(best):
         estimates[:, best == row] = smooth(surveyed, values[:, best == row], codes, BANDWIDTHS[row])
     return estimates
+
+
+def _of_the_others(surveyed: np.ndarray) -> Iterator[np.ndarray]:
+    """Yields for each bandwidth the weights by which surveyed codes are estimated from each other."""
+    return (_weights(surveyed, surveyed, bandwidth, leave_out=True) for bandwidth in BANDWIDTHS)
 
 
 def _weights(codes: np.ndarray, surveyed: np.ndarray, bandwidth: float, leave_out: bool = False) -> np.ndarray:

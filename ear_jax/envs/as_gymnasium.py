@@ -32,7 +32,7 @@ class FamilyVectorEnv(VectorEnv):
     A step whose numbers are not finite counts as truncated with reward 0, and is marked in `infos["invalid"]`.
 
     Args:
-      family: a family's name, or path/to/file.py:ClassName.
+      family: a family, its name, or path/to/file.py:ClassName.
       num_envs: environments, at least one for each task.
       tasks: names of tasks, such as 1 and 2.5; all training tasks by default.
       engine: physics engine: auto, native (CPU), mjx, mjx-fixed or warp.
@@ -40,8 +40,8 @@ class FamilyVectorEnv(VectorEnv):
 
     metadata: Infos = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}  # noqa: RUF012
 
-    def __init__(self, family: str, num_envs: int = 1, tasks: Sequence[str] = (), engine: str = "auto"):
-        self.family = make_family(family, engine)
+    def __init__(self, family: str | Family, num_envs: int = 1, tasks: Sequence[str] = (), engine: str = "auto"):
+        self.family = make_family(family, engine) if isinstance(family, str) else family
         self.tasks = _tasks(self.family, tasks)
         if num_envs < len(self.tasks):
             count = len(self.tasks)
@@ -100,8 +100,8 @@ class FamilyEnv(gymnasium.Env):
     metadata: Infos = {"render_modes": []}  # noqa: RUF012
 
     def __init__(self, family: str, task: str | None = None, engine: str = "auto"):
-        self._family = make_family(family, engine)
-        self._batch = FamilyVectorEnv(family, 1, (task or self._family.training_tasks().names[0],), engine)
+        made = make_family(family, engine)
+        self._batch = FamilyVectorEnv(made, tasks=(task or made.training_tasks().names[0],))
         self.observation_space = self._batch.single_observation_space
         self.action_space = self._batch.single_action_space
 

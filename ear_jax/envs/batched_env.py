@@ -12,7 +12,7 @@ from flax import struct
 
 from ear_jax.envs.environment import State
 from ear_jax.envs.family import Family, Outcome
-from ear_jax.tasks import TaskParams
+from ear_jax.tasks import TaskParams, task_count
 
 
 @struct.dataclass
@@ -55,7 +55,7 @@ class BatchedEnv:
         Returns:
           The environments, each leaf [rows, envs, …].
         """
-        rows = len(jax.tree.leaves(tasks)[0])
+        rows = task_count(tasks)
         key_state, key_clock = jax.random.split(key)
         keys = jax.random.split(key_state, (rows, envs))
         state = jax.vmap(jax.vmap(self.family.start, in_axes=(0, None)))(keys, tasks)

@@ -47,7 +47,6 @@ OPERATORS: dict[type[ast.AST], Callable[..., jax.Array]] = {
     ast.Pow: jnp.power,
     ast.USub: jnp.negative,
     ast.UAdd: jnp.positive,
-    ast.Not: jnp.logical_not,
     ast.And: jnp.logical_and,
     ast.Or: jnp.logical_or,
     ast.Lt: jnp.less,
@@ -122,10 +121,12 @@ class _Builder:
                 if name not in self.names:
                     raise self._mistake(node, str(unknown("outcome", name, self.names)))
                 return lambda outcome: outcome[name]
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return _applied(jnp.logical_not, self.build(operand))
             case ast.UnaryOp(op=operator, operand=operand) if type(operator) in OPERATORS:
-                return _applied(OPERATORS[type(operator)], self.build(operand))
+                return _of_numbers(OPERATORS[type(operator)], self.build(operand))
             case ast.BinOp(left=left, op=operator, right=right) if type(operator) in OPERATORS:
-                return _applied(OPERATORS[type(operator)], self.build(left), self.build(right))
+                return _of_numbers(OPERATORS[type(operator)], self.build(left), self.build(right))
             case ast.BoolOp(op=operator, values=values):
                 return _joined(OPERATORS[type(operator)], [self.build(value) for value in values])
             case ast.Compare(left=left, ops=operators, comparators=others):
@@ -172,7 +173,7 @@ class _Builder:
         if count < fewest or (most is not None and count > most):
             wanted = f"{fewest}" if most == fewest else f"at least {fewest}"
             raise self._mistake(node, f"{name} takes {wanted} value{'s' * (fewest > 1)}, not {count}")
-        return _applied(function, *map(self.build, node.args))
+        return _of_numbers(function, *map(self.build, node.args))
 
     def _mistake(self, node: ast.AST, reason: str) -> UsageError:
         """Returns the error at a node; Python counts its columns in bytes."""
@@ -191,6 +192,11 @@ def _depth(tree: ast.AST) -> int:
 
 def _applied(function: Callable[..., Any], *values: Value) -> Value:
     return lambda outcome: function(*(value(outcome) for value in values))
+
+
+def _of_numbers(function: Callable[..., Any], *values: Value) -> Value:
+    """Applies a function of numbers; truth values count as 1 or 0."""
+    return _applied(lambda *numbers: function(*(jnp.asarray(number, jnp.float32) for number in numbers)), *values)
 
 
 def _joined(function: Callable[..., Any], values: list[Value]) -> Value:

@@ -1,4 +1,4 @@
-"""The figure of `ear follow`: what was wanted and what the robot did, by look-up and along the spline."""
+"""The figure of `ear follow`: what was wanted and what the robot did, by look-up and by the spline or pursuit."""
 
 from __future__ import annotations
 

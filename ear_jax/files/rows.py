@@ -35,7 +35,7 @@ def read_rows(path: Path, warn: Warn | None = None, required: Keys = NO_KEYS) ->
     """Returns all rows, without their checksums; a last line that is cut off is skipped.
 
     Args:
-      path: the file; a missing one has no rows.
+      path: the file; a missing one has no rows, nor has one under a file in place of a directory.
       warn: called with a line for each damaged row, which is then skipped.
       required: the keys that every row has, and the types of their values.
 
@@ -44,7 +44,7 @@ def read_rows(path: Path, warn: Warn | None = None, required: Keys = NO_KEYS) ->
     """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return []
     except OSError as error:
         raise RunError(f"{path} cannot be read: {error.strerror}") from None

@@ -53,6 +53,8 @@ def check_batch(config: Config, tasks: int) -> None:
             f"--sac.policy-share {config.sac.policy_share} does not divide the {share} transitions that a batch "
             "has of each task"
         )
+    if config.network.critic_bins == 1:
+        raise UsageError("--network.critic-bins 1 is out of range; it must be 0, for a scalar value, or at least 2")
     if config.network.critic_bins and not config.sac.return_scale:
         raise UsageError("--network.critic-bins needs --sac.return-scale, the largest return that bins reach")
     if config.network.critic_batch_norm and config.network.critic_blocks:

@@ -23,7 +23,7 @@ from ear_jax.envs.family import Family, Outcome
 from ear_jax.learning.advantage import generalised_advantages, mean_valid, standardised
 from ear_jax.learning.rollout import act_with, first_episode, rollout, score
 from ear_jax.learning.value import Value, make_value
-from ear_jax.tasks import TaskParams
+from ear_jax.tasks import TaskParams, task_count
 
 CLIP = 0.2  # ε of the objective
 VALUE_LR = 1e-3
@@ -218,8 +218,9 @@ class PpoLearner:
     @property
     def _value(self) -> Value:
         family = self.family
-        tasks = len(jax.tree.leaves(self.tasks)[0])
-        return make_value(family.observation_size, tasks, family.episode_length, self.settings.discount)
+        return make_value(
+            family.observation_size, task_count(self.tasks), family.episode_length, self.settings.discount
+        )
 
 
 def followed(lr: jax.Array, moved: jax.Array, wanted: jax.Array) -> jax.Array:

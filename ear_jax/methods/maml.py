@@ -59,7 +59,7 @@ _OF_SAC = (
     *(f"sac.{name}" for name in ("lr", "lr_decay", "discount", "pessimism", "tau", "batch_size")),
     *(f"sac.{name}" for name in ("reward_scale", "initial_temperature", "max_grad_norm")),
     *(f"sac.{name}" for name in ("policy_share", "return_scale", "weight_decay")),
-    "collect.hold_noise",
+    *("collect.hold_noise", "collect.stagger"),
     *("network.critic_*", "network.standardise_obs", "replay.*"),
 )
 # An update needs fresh episodes of all tasks: 20 before and 20 after adaptation.

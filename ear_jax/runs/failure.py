@@ -19,6 +19,11 @@ def reported(directory: Path) -> str | None:
     return records.read_json(path)["not_finite"][0] if path.exists() else None
 
 
+def forget(directory: Path) -> None:
+    """Removes a run's report, as the run is tried again."""
+    (directory / NAME).unlink(missing_ok=True)
+
+
 def find_failure(directory: Path, rows: list[dict[str, Any]], finite: np.ndarray, before: int) -> str | None:
     """Reports the first metric of a run's last block that is not finite.
 

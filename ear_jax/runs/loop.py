@@ -29,7 +29,7 @@ from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_
 from ear_jax.runs.directory import check_place
 from ear_jax.runs.documents import differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
-from ear_jax.runs.failure import find_failure, reported
+from ear_jax.runs.failure import find_failure, forget, reported
 from ear_jax.runs.fastest import with_engine
 from ear_jax.runs.history import LOG, note_first_step, write_history
 from ear_jax.runs.lock import lock_directory
@@ -114,6 +114,8 @@ def _open(runs: Sequence[Run], program: Program, held: ExitStack) -> tuple[list[
         for index, (run, past) in enumerate(zip(runs, progress.histories, strict=True)):
             run = prepare(run, program, past, started)
             opened[index] = replace(run, track=held.enter_context(tracking(run.directory, run.config, say)))
+        if len(runs) == 1:
+            forget(runs[0].directory)
         return progress
 
     return opened, agreed(find)

@@ -9,6 +9,7 @@ import shlex
 from typing import Any
 
 from ear_jax.config import env_flags
+from ear_jax.runs import onnx
 
 LIBRARY = "ear-jax"
 
@@ -94,7 +95,7 @@ def _refinement(refined: dict[str, Any]) -> str:
 
 
 def _use(file: str) -> list[str]:
-    if file.endswith(".onnx"):
+    if file.endswith(onnx.SUFFIX):
         lines = [
             "import json",
             "import numpy as np",

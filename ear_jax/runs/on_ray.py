@@ -10,7 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -166,7 +166,7 @@ def _follow(ray: Any, tasks: dict[Any, Job], request: StopRequest) -> dict[str, 
     """Waits for tasks and shows their progress; returns by job why it failed, empty for those that did not."""
     waiting, ends = dict(tasks), {}
     cancelled = False
-    with Live(console=console, auto_refresh=False, transient=False) if is_live() else _silent() as shown:
+    with Live(console=console, auto_refresh=False, transient=False) if is_live() else nullcontext() as shown:
         while waiting:
             done, _ = ray.wait(list(waiting), num_returns=len(waiting), timeout=EVERY)
             for task in done:
@@ -183,11 +183,6 @@ def _follow(ray: Any, tasks: dict[Any, Job], request: StopRequest) -> dict[str, 
     if shown is None:
         console.print(table(list(tasks.values()), ends))
     return ends
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    yield
 
 
 def _end(ray: Any, task: Any) -> str:

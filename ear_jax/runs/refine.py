@@ -27,9 +27,10 @@ from ear_jax.runs import safetensors, training
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained
+from ear_jax.tasks import task_count
 
 BLOCK = 10  # iterations between lines of progress and saves
-WARM_UP = 10  # iterations in which only the value learns
+WARM_UP = 10  # iterations in which only the value learns; a tenth of fewer than 100
 LAST = 0.1  # the last iteration's share of the divergence
 
 
@@ -44,7 +45,7 @@ class Refinement:
     def divergence(self, number: int) -> float:
         """Returns the divergence that is wanted of an iteration, counted from 0."""
         share = 1 - (1 - LAST) * number / self.iterations
-        return self.ppo.divergence * share if number >= WARM_UP else 0.0
+        return self.ppo.divergence * share if number >= min(WARM_UP, self.iterations // 10) else 0.0
 
 
 @dataclass(frozen=True)
@@ -153,8 +154,8 @@ def _improve(
 
 def _per_iteration(learner: PpoLearner) -> tuple[int, int]:
     """Returns the env steps and the updates of an iteration of one seed."""
-    tasks, settings = len(jax.tree.leaves(learner.tasks)[0]), learner.settings
-    steps = tasks * learner.episodes * learner.family.episode_length
+    settings = learner.settings
+    steps = task_count(learner.tasks) * learner.episodes * learner.family.episode_length
     return steps, settings.passes * batches(steps, settings.batch)[0]
 
 

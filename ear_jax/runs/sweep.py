@@ -65,8 +65,13 @@ def describe(directory: Path) -> dict[str, Any]:
     """
     document = read_sweep(directory)
     trials = [{**_trial(directory / trial["name"]), **_plan(trial)} for trial in document["trials"]]
-    trials.sort(key=lambda trial: (trial["failed"] is not None, -(trial["return"] or -float("inf"))))
+    trials.sort(key=_rank)
     return {"family": document["family"], "trials": trials}
+
+
+def _rank(trial: dict[str, Any]) -> tuple[bool, bool, float]:
+    """Ranks trials: the highest return first, those without one after them, those that failed last."""
+    return trial["failed"] is not None, trial["return"] is None, -(trial["return"] or 0.0)
 
 
 def _plan(trial: dict[str, Any]) -> dict[str, Any]:

@@ -138,7 +138,10 @@ def _agent(config: Config, family: Family, tasks: TaskSet) -> Agent:
     sizes = Sizes(family.observation_size, family.action_size, len(tasks), len(family.outcome_shapes))
     agent = make_agent(sizes, config)
     symmetry = family.symmetry if config.network.equivariant else None
-    return equivariant(agent, symmetry, tasks.params) if symmetry else agent
+    if symmetry is None:
+        return agent
+    with jax.ensure_compile_time_eval():  # a sweep makes its agents while it is traced
+        return equivariant(agent, symmetry, tasks.params)
 
 
 def seed_keys(config: Config) -> jax.Array:

@@ -51,7 +51,7 @@ WHY = (
     "MAML: a cheetah that runs at 5 or 6 m/s in all ten tasks misses their speeds by 2.5 m/s on average, which costs "
     "500 in 200 steps. The paper's return is about that, so little of it need come from adaptation.",
     "Ant-Dir: the paper's text penalises lateral speed with weight 1; the released code has weight 0. We use 0, except "
-    "while `ear refine` improves the ant. All returns are without the penalty.",
+    "in `ear refine --env.lateral-weight 1`, by which ants are refined here. All returns are without the penalty.",
     "Ant-Dir: `fast` also trains on transitions that are rotated by quarter turns and mirrored; the paper does not.",
     "Run-Jump: in the paper the jump is the height of the hind foot while running backward; in the code it is the "
     "height of the torso while running forward. We follow the paper.",
@@ -175,9 +175,9 @@ def _cheetah(index: RunIndex) -> Iterator[str]:
     if losses:
         yield (
             "HalfCheetah-Vel: the cheetah starts at rest, and friction with the floor limits its acceleration. The "
-            "first half of an episode therefore scores lower than the second: at most "
-            f"{number(float(np.mean(losses)), 0)} of our mean return comes from this. The paper's policy cannot avoid "
-            "all of it either."
+            "first half of an episode therefore scores lower than the second, which costs at most "
+            f"{number(-float(np.mean(losses)), 0)} of the {number(-np.mean([mean_return(run) for run in runs]))} by "
+            "which our mean return is below zero. The paper's policy cannot avoid all of it either."
         )
     tasks = {name: np.mean([task_returns(run)[name] for run in runs]) for name in task_returns(runs[0])}
     worst = sorted(tasks, key=lambda name: tasks[name])[:2]

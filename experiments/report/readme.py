@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ear_jax import pretrained
+from ear_jax.cli.interpolate import InterpolateCommand
 from ear_jax.embeddings.map import PLACES
 from experiments.paper import (
     ADAPTATION,
@@ -51,6 +52,7 @@ SHOWN = (*FAMILIES, RUN_JUMP, REACH)
 BLENDED = ("fresh", "mid_task", "one_to_one")
 COUNTED = ("again", "midway", "between")  # the same in the tables' heads
 COLUMNS = ("family", "return", "refined", "paper's return", *COUNTED, "seeds", "minutes a seed", "`ear train`")
+PLAYED = f"{InterpolateCommand.episodes} episodes"  # of each blend
 DETAILED_COLUMNS = ("family", "return", "paper's return", *COUNTED, "error from a map", "minutes a seed")
 
 
@@ -77,8 +79,8 @@ def headline(index: RunIndex) -> str:
     steps = float(np.mean([run.last["env_steps"] for run in runs])) / paper_budget(CHEETAH)[0]
     return (
         f"**HalfCheetah-Vel: for {again} pairs of neighbouring trained speeds, a blend runs at the speed midway**, to "
-        f"within {number(error, 2)} {unit(CHEETAH)} on average over 10 fresh episodes. By the paper's count, one "
-        f"episode a blend: {met} (the paper: {printed(theirs)}). On the trained speeds the policy returns "
+        f"within {number(error, 2)} {unit(CHEETAH)} on average over 10 fresh episodes. Counted on the {PLAYED} by "
+        f"which the blend was chosen: {met} (the paper: {printed(theirs)}). On the trained speeds the policy returns "
         f"{returns(runs)}, {level} the paper's {printed(paper)}, after {percent(steps, 0)} of the paper's env "
         f"steps{_time(runs)}.{_refined(runs)}"
     )
@@ -86,11 +88,14 @@ def headline(index: RunIndex) -> str:
 
 def _refined(runs: Sequence[Run]) -> str:
     """Returns a sentence on `ear refine`, or nothing if no run was refined."""
-    played = [run.document(REFINEMENT.name)["env_steps"] for run in runs if refinements([run])]
-    if not played:
+    found = refinements(runs)
+    if not found:
         return ""
+    before, after = (spread([entry[when] for entry in found]) for when in ("before", "after"))
+    played = [run.document(REFINEMENT.name)["env_steps"] for run in runs if refinements([run])]
     share = percent(float(np.mean(played)) / paper_budget(CHEETAH)[0], 0)
-    return f" `ear refine`, which plays another {share}, takes it further: {refined_returns(runs)}."
+    which = "the seeds" if len(found) == len(runs) else f"{len(found)} of the {len(runs)} seeds"
+    return f" `ear refine` takes {which} from {before} to {after}, with another {share} of the paper's env steps."
 
 
 def results(index: RunIndex) -> str:
@@ -104,15 +109,21 @@ def results(index: RunIndex) -> str:
             words = f"`{family}{f' --preset {index.preset}{variant}' if variant else ''}`"
             last = count(len(runs)), _minutes(runs).replace(" to ", "–") or MISSING, words
             rows.append([name, returned, refined_returns(runs), _paper_return(family), *blended, *last])
-    return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{HOW_TO_READ} After an arrow: refined."
+    return f"{markdown.table(Table('', COLUMNS, rows))}\n\n{RETURN} {REFINED} {BLENDS} After an arrow: refined."
 
 
-HOW_TO_READ = (
+RETURN = (
     f"*Return*: the mean over the training tasks, from {episodes(CHEETAH)} episodes each (the ant: {episodes(ANT)}), ± "
-    "over seeds. *Refined*: the same after `ear refine`, which plays more env steps. *Midway*: pairs of neighbouring "
-    "tasks for which some blend of their LTEs meets the value midway, in one episode a blend. *Again*: pairs for which "
-    "the blend that came nearest meets it in the mean of 10 fresh episodes. *Between*: pairs whose half-and-half blend "
-    "lies between the two. In brackets: the paper."
+    "over seeds."
+)
+REFINED = (
+    "*Refined*: the same after `ear refine` with [each family's options](docs/refining.md#what-it-gives), which plays "
+    "more env steps; where it was used on some of the seeds, their return before → after."
+)
+BLENDS = (
+    "*Again*: pairs of neighbouring tasks for which the blend that came nearest to the value midway meets it in the "
+    f"mean of 10 fresh episodes. *Midway*: pairs for which some blend meets it in the mean of {PLAYED}. *Between*: "
+    "pairs whose half-and-half blend lies between the two. In brackets: the paper."
 )
 FROM_A_MAP = (
     f"*Error from a map*: the mean error on tasks never trained on, when their LTEs are read off one map of {PLACES} "
@@ -137,7 +148,7 @@ def _our_runs(index: RunIndex) -> list[str]:
     parts = [
         "## EAR on every family",
         markdown.table(Table("", DETAILED_COLUMNS, rows)),
-        f"{HOW_TO_READ} {FROM_A_MAP}",
+        f"{RETURN} {BLENDS} {FROM_A_MAP}",
         _budget(runs),
         *_shipped(index),
         *_machines([run for family in SHOWN for run in runs[family]]),
@@ -150,8 +161,8 @@ def _methods(index: RunIndex) -> list[str]:
     """Returns the section on the other methods and on EAR with a part left out."""
     return [
         "## Other methods",
-        "HalfCheetah-Vel: other methods, and EAR-SAC with a part left out, each with the budget of `fast`.",
-        markdown.table(Table("", ("method", "return", "paper's return"), _method_rows(index))),
+        "HalfCheetah-Vel: other methods, and EAR-SAC with a part left out.",
+        markdown.table(Table("", ("method", "return", "paper's return", "updates"), _method_rows(index))),
         "In the authors' code the replay holds zeros in place of the one-hot, so the paper's OHE-SAC is a policy that "
         "does not see its task. Ours, with its one-hot and with the one-hot zeroed, beside it:",
         markdown.table(Table("", ("family", "OHE-SAC", "one-hot zeroed", "the paper's"), _one_hot_rows(index))),
@@ -234,8 +245,9 @@ def _shipped(index: RunIndex) -> list[str]:
 def _method_rows(index: RunIndex) -> list[list[str]]:
     rows = []
     for method in EXPERIMENTS["agents"].methods:
-        paper = None if method.variant else paper_return(method.family, method.agent)
-        rows.append([label(method), returns(index.of(method)), printed(paper) if paper else MISSING])
+        runs, paper = index.of(method), None if method.variant else paper_return(method.family, method.agent)
+        updates = span([run.last["updates"] for run in runs], count) if runs else MISSING
+        rows.append([label(method), returns(runs), printed(paper) if paper else MISSING, updates])
     return rows
 
 

@@ -155,4 +155,4 @@ def _rank(run: Run) -> tuple[bool, int]:
 
 def _other_tasks(run: Run) -> bool:
     """Returns True if a run has other tasks or another reward than its preset, so that returns do not compare."""
-    return any(name == "tasks" or name.startswith("env.") for name in run.changes)
+    return any(name in ("tasks", "task_count") or name.startswith("env.") for name in run.changes)

@@ -13,7 +13,7 @@ from experiments.report.blocks import Block, Table
 from experiments.report.formatting import NO_RUN, count, printed
 from experiments.report.run_index import RunIndex
 
-AGENTS = {"EAR-SAC": "ear", "MAML": "maml", "PEARL": "pearl", "MTMH-SAC": "multihead", "OHE-SAC": "onehot"}
+AGENTS = {"EAR-SAC": "ear", "MAML": "maml", "PEARL": "pearl", "MHMT-SAC": "multihead", "OHE-SAC": "onehot"}
 
 
 def _layers(hidden: int, kind: str = "MLP") -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from ear_jax.cli.interpolate import InterpolateCommand
 from ear_jax.config import env_flags
 from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
 from ear_jax.envs import Family
@@ -59,6 +60,7 @@ from experiments.report.measures import (
 )
 from experiments.report.run_index import Run, RunIndex
 
+NOT_REFINED = "—, not refined yet"
 BLENDS = (INTERPOLATION.name, REFINED_INTERPOLATION.name)  # before and after a refinement
 PAPERS = {"mid_task": "mid-task", "one_to_one": "1:1"}  # measures of the paper
 MEASURES = {"fresh": "mid-task, again", **PAPERS}
@@ -66,8 +68,8 @@ HEADS = ("ours", "IQM [95 %]", "P(EAR better) [95 %]", "seeds", "env steps", "up
 INTERPOLATED = (
     "Pairs of neighbouring tasks between which interpolation succeeds, over all seeds. Mid-task: some β between "
     f"{MID_TASK_RANGE[0]:g} and {MID_TASK_RANGE[1]:g} meets the value midway, to within {100 * REACHED:g} % of the "
-    "distance between the two, in one episode. Again: the β that came nearest meets it in the mean of 10 fresh "
-    "episodes. 1:1: the outcome at β = ½ lies between the two."
+    f"distance between the two, in the mean of {InterpolateCommand.episodes} episodes. Again: the β that came nearest "
+    "meets it in the mean of 10 fresh episodes. 1:1: the outcome at β = ½ lies between the two."
 )
 
 
@@ -91,9 +93,11 @@ def agents(index: RunIndex) -> list[Block]:
 
 
 def variants(id: str, index: RunIndex) -> list[Block]:
-    """Returns a table of our own: every family under the preset and under a variant of it."""
+    """Returns a table of our own: each family that has runs of a variant of the preset, without it and with it."""
+    methods = EXPERIMENTS[id].methods
+    ran = {method.family for method in methods if method.variant and index.of(method)}
     rows = []
-    for method in EXPERIMENTS[id].methods:
+    for method in (method for method in methods if method.family in ran):
         runs = index.of(method)
         blended = (share(runs, successes(runs, measure)) for measure in MEASURES)
         widest = [f"{max(apart):.0f}°" for run in runs if len(apart := gaps(run))]
@@ -106,7 +110,9 @@ def variants(id: str, index: RunIndex) -> list[Block]:
         "Returns, pairs of neighbouring tasks that blend, the widest angle between the LTEs of neighbours in each "
         f"seed, and tasks of whose first {FIRST} episodes one ends early."
     )
-    return [Table(caption, ("family", "method", *columns), rows)]
+    table = [Table(caption, ("family", "method", *columns), rows)] if rows else []
+    missing = ", ".join(NAMES[method.family] for method in methods if method.variant and method.family not in ran)
+    return [*table, *([f"Not run yet: {missing}."] if missing else [])]
 
 
 def refined(index: RunIndex) -> list[Block]:
@@ -115,25 +121,25 @@ def refined(index: RunIndex) -> list[Block]:
     for method in EXPERIMENTS["refined"].methods:
         runs = [run for run in index.of(method) if refinements([run])]
         found, paper = refinements(runs), paper_return(method.family, method.agent)
-        before = spread([entry["before"] for entry in found]) if found else MISSING
+        before = spread([entry["before"] for entry in found]) if found else NOT_REFINED
         blended = [_before_and_after(runs, measure) for measure in MEASURES]
         told = [run.document(REFINEMENT.name) for run in runs]
-        steps = [count(one["env_steps"]) for one in told[:1]]
+        spent = [count(told[0]["env_steps"]), span([one["seconds"] / 60 for one in told], number)] if told else []
         cells = (
             before,
             refined_returns(runs),
             printed(paper) if paper else MISSING,
             *blended,
-            seeds(runs),
-            *(steps or [MISSING]),
+            seeds(runs) if runs else MISSING,
+            *(spent or [MISSING, MISSING]),
         )
         rows.append([NAMES[method.family], label(method), *cells])
         if options := next((one["options"] for one in told if "options" in one), {}):
             notes.append(f"{NAMES[method.family]} is refined with{env_flags(options)}; its returns are without.")
-    columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "env steps of the refinement")
+    columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "its env steps", "its minutes")
     caption = (
         "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "
-        "that blend, before → after. MHMT-SAC's heads do not blend."
+        "that blend, before → after. MHMT-SAC's heads do not blend. Last: what the refinement took."
     )
     return [Table(" ".join([caption, *dict.fromkeys(notes)]), ("family", "method", *columns), rows)]
 

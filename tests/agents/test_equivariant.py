@@ -14,7 +14,7 @@ from ear_jax.agents.networks import Standardiser
 from ear_jax.envs import make_family
 from ear_jax.errors import UsageError
 from ear_jax.presets import preset_config
-from ear_jax.runs.training import make_program
+from ear_jax.runs.training import TrainState, init, make_program, with_numbers
 
 VARIANTS = jnp.arange(8)
 
@@ -54,6 +54,14 @@ def test_the_policy_turns_with_the_robot(program, policy):
     np.testing.assert_allclose(found.mean, wanted[0], atol=1e-5)
     np.testing.assert_allclose(found.log_std, wanted[1], atol=1e-5)
     assert np.std(found.mean) > 0.01
+
+
+def test_a_sweep_makes_it_while_it_is_traced(program):
+    def begun(lr: jax.Array) -> TrainState:
+        return init(with_numbers(program, {"sac.lr": lr}), jax.random.key(0))
+
+    traced, usual = (jax.eval_shape(begin, 1e-3) for begin in (begun, lambda _: init(program, jax.random.key(0))))
+    assert jax.tree.map(jnp.shape, traced) == jax.tree.map(jnp.shape, usual)
 
 
 @pytest.mark.parametrize("seen", ["onehot", "lte", "both"])

@@ -27,6 +27,8 @@ def test_invalid_steps_count_for_nothing_and_without_steps_the_prior_stays():
     assert (float(posterior.mean[0]), float(posterior.variance[0])) == pytest.approx((4.0, 2.0))
     nothing = product(means, variances, jnp.zeros(2, bool))
     np.testing.assert_array_equal((nothing.mean, nothing.variance), (prior(1).mean, prior(1).variance))
+    infinite = product(means.at[0].set(jnp.nan), variances.at[0].set(jnp.nan), jnp.array([False, True]))
+    assert (float(infinite.mean[0]), float(infinite.variance[0])) == pytest.approx((4.0, 2.0))
     grad = jax.grad(lambda means: product(means, variances, jnp.zeros(2, bool)).mean.sum())(means)
     assert np.isfinite(grad).all()
 

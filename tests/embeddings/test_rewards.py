@@ -97,6 +97,8 @@ def test_without_a_sphere_a_reward_is_searched_for(toy):
     trained = Trained("free", free, toy.policies, 0, toy.directory)
     (task,) = adapt_to_rewards(trained, ["-(action - 0.3)**2"], Search(epochs=4, sigma=0.3), 1)["tasks"]
     assert list(task["answers"]) == ["search"]
+    with pytest.raises(UsageError, match=r"reward 'log\(action - 2\)' is not a finite number"):
+        adapt_to_rewards(trained, ["log(action - 2)"], Search(epochs=1), 1)
     with pytest.raises(UsageError, match="has no sphere of LTEs to map"):
         adapt_to_rewards(trained, ["action"], None, 1)
 

@@ -102,8 +102,8 @@ def of_the_turned() -> list[str]:
         "seeds 0, 1 and 2 run {:.0f}, {:.0f} and {:.0f}° aside".format(*axes),
         f"that of 15° at {min(next_to_it):.0f} to {max(next_to_it):.0f}°",
         "{}, {} and {} of the seeds' 24 pairs meet the direction midway".format(*midway),
-        f"seed 2 returns {number(penalised[0], 0)} after 20,000 updates ({number(without[0], 0)} without)",
-        f"seed 0 returns {number(penalised[1], 0)} ({number(without[1], 0)} without)",
+        f"seed 2 returns {number(penalised[0], 0)}, penalty included, and {number(without[0], 0)} if trained without",
+        f"seed 0 returns {number(penalised[1], 0)}, and {number(without[1], 0)} if trained without",
         f"those of 0 and 15° are {min(beside):.0f} to {max(beside):.0f}° from each other",
         f"it returned {number(directions, 0)}",
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from fnmatch import fnmatch
+from functools import partial
 
 import jax
 import pytest
@@ -45,11 +46,15 @@ def with_setting(config: Config, name: str, value: object) -> Config:
 
 
 def traced(config: Config) -> str:
-    """Returns a fresh run, its collection and its updates as JAX traces them."""
+    """Returns a fresh run, its collection and its updates as JAX traces them.
+
+    A learner that is on-policy starts its own environments, so a run's own play no part.
+    """
     program, key = training.make_program(config), jax.random.key(0)
+    begin = program.learner.init if program.learner.on_policy else partial(training.init, program)
     state = jax.eval_shape(lambda key: training.init(program, key), key)
     parts = (
-        jax.make_jaxpr(lambda key: training.init(program, key))(key),
+        jax.make_jaxpr(begin)(key),
         jax.make_jaxpr(lambda state: training.collect(program, state))(state),
         jax.make_jaxpr(lambda state: training.learn(program, state))(state),
     )

@@ -81,7 +81,9 @@ def test_one_seed_of_several_is_as_if_trained_alone(finished, tmp_path, capsys):
         np.testing.assert_array_equal(one, two[1:])
     (last,) = (row for row in records.read_rows(finished / "metrics.jsonl") if (row["epoch"], row["seed"]) == (24, 1))
     assert f"mean return {last['mean_return']:.1f}" in safetensors.read(file)[1]["card"]
-    assert main(["export", str(file), str(tmp_path / "again.safetensors"), "--policy", "1"]) == 2
+    assert main(["export", str(file), str(tmp_path / "again.safetensors")]) == 0
+    assert load(tmp_path / "again.safetensors").fingerprint == alone.fingerprint
+    assert main(["export", str(file), str(tmp_path / "other.safetensors"), "--policy", "1"]) == 2
     assert "--policy 1 is out of range: this run has 1 policy, number 0" in capsys.readouterr().err
 
 

@@ -138,6 +138,10 @@ def test_a_loss_that_is_not_finite_ends_the_run_and_leaves_the_last_good_step(fi
     for one, two in zip(before, leaves(last_state(finished, finished_config())), strict=True):
         np.testing.assert_array_equal(one, two)
 
+    monkeypatch.undo()
+    train_run(finished_config(epochs=26), finished)
+    assert not (finished / "failure.json").exists()
+
 
 def test_a_lost_run_is_exit_code_1_and_one_line(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("ear_jax.runs.loop.train_run", _lost)

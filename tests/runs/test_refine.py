@@ -52,6 +52,12 @@ def stops(monkeypatch):
     return Request
 
 
+def test_only_the_value_learns_at_first():
+    assert [number for number in range(300) if not Refinement(300).divergence(number)] == list(range(10))
+    assert [number for number in range(40) if not Refinement(40).divergence(number)] == list(range(4))
+    assert Refinement(1).divergence(0) > 0
+
+
 def test_a_policy_learns_what_returns_more_and_keeps_its_ltes(toy):
     """Under its own code the first task's action is right for 4 steps of 20 and off by 1 for 16."""
     refined, document = refine(toy, Refinement(60, Ppo(16, divergence=0.3, lr=1e-3, least_noise=0.3)), episodes=1)
@@ -122,5 +128,5 @@ def test_an_agent_that_finds_its_codes_is_refused(toy):
 
 
 def test_a_policy_that_becomes_infinite_ends_it(toy):
-    with pytest.raises(RunError, match="not finite after iteration 11; try a smaller --divergence"):
+    with pytest.raises(RunError, match="not finite after iteration 2; try a smaller --divergence"):
         refine(toy, Refinement(12, Ppo(4, batch=40, lr=math.inf)), 1)
