@@ -37,8 +37,8 @@ REWARDS = (
     "1 if velocity < 1.5 or velocity > 8.5 else 0",
     "abs(velocity - 5) - squared_action",
 )
-SHORTFALL = {"map": 0.05, "imagined": 0.1}  # of a search's return, in either sign
-EXPECTED = {"map": 18, "imagined": 15}
+SHORTFALL = 0.05  # of a search's return, in either sign
+EXPECTED = 18
 
 
 def reaches(answer: float, searched: float, shortfall: float) -> bool:
@@ -52,7 +52,7 @@ def test_the_survey_answers_as_well_as_a_search(tmp_path, monkeypatch):
     trained = load(Path("pretrained:halfcheetah-vel"))
     tasks = adapt_to_rewards(trained, REWARDS, Search(), episodes=10)["tasks"]
     returns = [{way: answer["reevaluated"] for way, answer in task["answers"].items()} for task in tasks]
-    met = [reaches(row["map"], row["search"], SHORTFALL["map"]) for row in returns]
-    assert sum(met) >= EXPECTED["map"]
+    met = [reaches(row["map"], row["search"], SHORTFALL) for row in returns]
+    assert sum(met) >= EXPECTED
     again = adapt_to_rewards(trained, REWARDS[:1], episodes=1)
     assert again["costs"]["map"]["env_steps"] == 0
