@@ -31,6 +31,8 @@ def check(config: Config) -> None:
         value = settings[name]
         if not low < value <= high:
             raise UsageError(f"{flag(name)} {value} is out of range; it must be above {low:g} and at most {high:g}")
+    if config.minutes is not None and not config.minutes > 0:
+        raise UsageError(f"--minutes {config.minutes:g} is too small; it must be above 0")
     if config.seed + config.seeds > MAX_SEED:
         raise UsageError(f"--seed {config.seed} is too large; the last seed must be below {MAX_SEED}")
     for name in ("sac.lte_noise", "sac.pessimism", "sac.weight_decay", "replay.own_share"):
@@ -52,7 +54,6 @@ _MINIMA: dict[str, int] = {
     "seed": 0,
     "seeds": 1,
     "epochs": 1,
-    "minutes": 0,
     "task_count": 1,
     "meta_batch": 1,
     **{f"network.{name}": 1 for name in ("width", "task_width", "lse_size", "lte_size", "history")},

@@ -81,11 +81,9 @@ def _adapt(command: AdaptCommand, trained: Trained) -> None:
     with phase(activity):
         chosen = None if command.zero_shot else search
         document = adapt(trained, tasks, chosen, command.episodes, command.seed, within_reach=bool(named))
-    if command.save is not None:
-        codes = [task["lte"] for task in document["tasks"]]
-        ltes.save(trained.directory, command.save, tasks.names[0], codes, trained.fingerprint)
     kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
     show_and_keep(document, command.json, partial(_print, unit=family.unit), kept)
+    _save(command, trained, document, "--target")
 
 
 def _ask(command: AdaptCommand, trained: Trained) -> None:
@@ -105,11 +103,9 @@ def _ask(command: AdaptCommand, trained: Trained) -> None:
     with phase(f"adapting to {len(command.reward)} reward{'s' * (len(command.reward) > 1)}"):
         chosen = None if command.zero_shot else search
         document = adapt_to_rewards(trained, rewards, chosen, command.episodes, command.seed, PLACES)
-    if command.save is not None:
-        codes = [task["lte"] for task in document["tasks"]]
-        ltes.save(trained.directory, command.save, document["tasks"][0]["name"], codes, trained.fingerprint, "--reward")
     kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
     show_and_keep(document, command.json, _print_rewards, kept)
+    _save(command, trained, document, "--reward")
 
 
 def _check(command: AdaptCommand) -> None:
@@ -121,7 +117,9 @@ def _check(command: AdaptCommand) -> None:
     if command.save is not None:
         ltes.check_name(command.save)
         if len(command.target) + len(command.reward) != 1:
-            raise UsageError(f"--save {command.save} saves the LTE of one task; name one task with --target")
+            raise UsageError(
+                f"--save {command.save} saves the LTE of one task; name one task with --target or one --reward"
+            )
     if command.target and command.reward:
         raise UsageError("give either --target X or --reward EXPR")
 
@@ -146,9 +144,10 @@ def _check_search(trained: Trained, search: Search) -> None:
 
 
 def _check_save(name: str, trained: Trained) -> None:
-    """Raises UsageError for a name that would hide a task, and for an agent without LTEs."""
+    """Raises UsageError for a name that would hide a task or an agent without LTEs, RunError for a damaged file."""
     if trained.program.agent.tuned:
         raise UsageError(f"--save {name}: {trained.program.config.agent} has no LTEs to save")
+    ltes.saved(trained.directory)
     from ear_jax.envs import find_task
 
     try:
@@ -156,6 +155,14 @@ def _check_save(name: str, trained: Trained) -> None:
     except UsageError:
         return
     raise UsageError(f"--save {name} would hide the task {task}; choose another name")
+
+
+def _save(command: AdaptCommand, trained: Trained, document: dict[str, Any], asked_by: str) -> None:
+    """Saves the LTEs found, if asked to."""
+    if command.save is not None:
+        codes = [task["lte"] for task in document["tasks"]]
+        name = document["tasks"][0]["name"]
+        ltes.save(trained.directory, command.save, name, codes, trained.fingerprint, asked_by)
 
 
 def _print(document: dict[str, Any], unit: str) -> None:

@@ -9,6 +9,7 @@ import io
 import math
 import os
 import re
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +21,7 @@ from ear_jax.errors import UsageError
 
 Parsed = TypeVar("Parsed")
 HELP = ("-h", "--help")
+MAX_BETA = 1000  # further out, all blends of a pair are one in float32
 
 
 def parse(
@@ -82,6 +84,20 @@ def check_least(command: Any, **least: int) -> None:
     for name, limit in least.items():
         if (value := getattr(command, name)) < limit:
             raise UsageError(f"--{name.replace('_', '-')} {value} is too small; it must be at least {limit}")
+
+
+def check_most(command: Any, **most: int) -> None:
+    """Raises UsageError for the first of the named settings above its maximum."""
+    for name, limit in most.items():
+        if (value := getattr(command, name)) > limit:
+            raise UsageError(f"--{name.replace('_', '-')} {value} is too large; it must be at most {limit}")
+
+
+def check_betas(betas: Sequence[float]) -> None:
+    """Raises UsageError for a β that is not finite or so large that a blend has no direction."""
+    check_finite("--beta", *betas)
+    if far := [beta for beta in betas if abs(beta) > MAX_BETA]:
+        raise UsageError(f"--beta {far[0]:g} is out of range; it must be from {-MAX_BETA} to {MAX_BETA}")
 
 
 def _check_flags(words: list[str], flags: dict[str, Flag], more: str) -> None:

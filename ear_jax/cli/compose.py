@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from ear_jax.cli.arguments import check_finite, check_least, parse
+from ear_jax.cli.arguments import check_betas, check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
 from ear_jax.errors import UsageError
@@ -37,7 +37,7 @@ def main(words: list[str]) -> None:
     check_least(command, steps=2)
     if not command.beta:
         raise UsageError("--beta needs at least one number, as in --beta 1 0.5 0")
-    check_finite("--beta", *command.beta)
+    check_betas(command.beta)
     trained = command.load()
     from ear_jax.cli.ends import find_end
     from ear_jax.embeddings.compose import compose

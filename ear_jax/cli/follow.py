@@ -17,7 +17,10 @@ from ear_jax.process.terminal import phase, say
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ear_jax.embeddings.course import Course
+    from ear_jax.embeddings.survey import Survey
     from ear_jax.embeddings.trajectory import Trajectory
+    from ear_jax.envs import Family
     from ear_jax.runs.trained import Trained
 
 
@@ -60,10 +63,15 @@ def main(words: list[str]) -> None:
     from ear_jax.embeddings.survey import PLACES, find_survey
     from ear_jax.figures.follow import draw_follow
 
-    course_of(trained.program.family, command.profile, command.path)  # refuses a mistake before the work
+    planned = course_of(trained.program.family, command.profile, command.path)  # refuses a mistake before the work
+    dt, seconds = trained.program.family.dt, float(planned.times[-1])
+    if not planned.is_path and not dt <= command.every <= seconds:
+        raise UsageError(f"--every {command.every:g} is out of range; it must be from {dt:g} to {seconds:g} seconds")
     with phase("surveying the LTE sphere"):
         survey, env_steps = find_survey(trained, PLACES, 0)
     course = course_of(trained.program.family, command.profile, command.path, survey)
+    if not course.is_path:
+        _warn_beyond(survey, course, trained.program.family)
     plan = Plan(command.every, command.epochs, command.candidates, command.sigma, command.starts)
     search = f"searching in {command.epochs} epochs of {command.candidates} splines"
     with phase("meeting way-points" if course.is_path else search):
@@ -91,6 +99,17 @@ def _check(command: FollowCommand) -> None:
     for name in ("every", "sigma"):
         if not getattr(command, name) > 0:
             raise UsageError(f"--{name} {getattr(command, name):g} is too small; it must be above 0")
+
+
+def _warn_beyond(survey: Survey, course: Course, family: Family) -> None:
+    """Warns of a profile that asks for more, or less, than the robot achieves under any surveyed LTE."""
+    late = survey.outcomes[family.commanded][..., survey.steps // 2 :].mean(axis=-1)
+    low, high = float(late.min()), float(late.max())
+    asked = float(course.points.min()), float(course.points.max())
+    margin = 0.05 * (high - low)
+    if beyond := [value for value in asked if not low - margin <= value <= high + margin]:
+        reached = f"{low:.2g} to {high:.2g} {family.unit}"
+        say(f"warning: the profile asks for {beyond[-1]:g}; under its LTEs the robot achieves {reached}")
 
 
 def _show(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from ear_jax.cli.arguments import check_finite, check_least, parse
+from ear_jax.cli.arguments import check_finite, check_least, check_most, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, label_of, print_table, show_and_keep
 from ear_jax.errors import UsageError
@@ -36,6 +36,7 @@ class ImagineCommand(OnRun):
 def main(words: list[str]) -> None:
     command = parse(ImagineCommand, words, "imagine")
     check_least(command, updates=1, batch_size=1, cells=2)
+    check_most(command, updates=10**9, batch_size=2**16, cells=2**12)
     check_finite("--discount", command.discount)
     if not 0 <= command.discount < 1:
         raise UsageError(f"--discount {command.discount:g} is out of range; it must be from 0 to below 1")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from ear_jax.cli.arguments import check_finite, check_least, option, parse
+from ear_jax.cli.arguments import check_betas, check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
 from ear_jax.errors import UsageError
@@ -59,7 +59,7 @@ def main(words: list[str]) -> None:
         raise UsageError("give either --between A B or --all-pairs")
     if command.target is not None and (command.beta or command.all_pairs):
         raise UsageError("--target goes only with --between A B, and without --beta")
-    check_finite("--beta", *command.beta)
+    check_betas(command.beta)
     if command.target is not None:
         check_finite("--target", command.target)
     check_least(command, episodes=1)

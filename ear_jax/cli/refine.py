@@ -14,6 +14,7 @@ from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, print_table, show_and_keep
 from ear_jax.config import EnvConfig, flag
 from ear_jax.errors import UsageError
+from ear_jax.files.replacing import claim_file
 from ear_jax.pretrained import SUFFIX
 
 
@@ -67,9 +68,10 @@ def main(words: list[str]) -> None:
     options = {name: value for name, value in asdict(command.env).items() if value is not None}
     settings = Refinement(command.iterations, Ppo(episodes=command.iteration_episodes, **numbers), options)
     part = command.file.with_suffix(".part")
-    refined, document = refine(trained, settings, command.episodes, command.seed, part)
-    save(command.file, refined, [])
-    part.unlink(missing_ok=True)
+    with claim_file(part):
+        refined, document = refine(trained, settings, command.episodes, command.seed, part)
+        save(command.file, refined, [])
+        part.unlink(missing_ok=True)
     document = {**document, "file": str(command.file)}
     kept = partial(keep, results_of(command.file), "refinement", "", document, draw_refine)
     show_and_keep(document, command.json, _print, kept)

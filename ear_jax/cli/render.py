@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from ear_jax.cli.arguments import check_finite, check_least, option, parse
+from ear_jax.cli.arguments import check_betas, check_least, option, parse
 from ear_jax.cli.on_run import OnPolicy
 from ear_jax.cli.results import check_writable, label_of, print_pictures
 from ear_jax.errors import UsageError
@@ -85,4 +85,4 @@ def _check(command: RenderCommand) -> None:
     if command.beta and not command.interpolate:
         raise UsageError("--beta goes only with --interpolate A B")
     check_least(command, steps=1)
-    check_finite("--beta", *command.beta)
+    check_betas(command.beta)

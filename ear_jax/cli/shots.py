@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax.agents.networks import Params
+from ear_jax.cli.results import LONGEST, short_hash
 from ear_jax.embeddings import ltes
 from ear_jax.embeddings.interpolate import blend_codes
 from ear_jax.embeddings.trajectory import Trajectory
@@ -60,7 +61,8 @@ def choose_shots(command: Any, trained: Trained, policy: Params) -> list[Shot]:
 def file_name(command: Any, shots: list[Shot]) -> str:
     names = [shot.name for shot in shots]
     name = f"{names[0]}_to_{names[-1]}" if command.interpolate else "_".join(names)
-    return re.sub(r"[^\w.-]+", "_", name)
+    safe = re.sub(r"[^\w.-]+", "_", name)
+    return safe if len(safe) <= LONGEST else f"{safe[:LONGEST]}-{short_hash(name)}"
 
 
 def draw(

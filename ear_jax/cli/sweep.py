@@ -15,7 +15,7 @@ from ear_jax.cli import train
 from ear_jax.cli.arguments import check_least, option
 from ear_jax.cli.results import keep, print_table, show_and_keep
 from ear_jax.config import Config, flag, flat, run_name
-from ear_jax.errors import UsageError, unknown
+from ear_jax.errors import UsageError, hint, unknown
 from ear_jax.limits import check
 from ear_jax.presets import check_effect
 from ear_jax.process import hosts
@@ -162,7 +162,8 @@ def _meet(command: SweepCommand) -> None:
 def _check_setting(name: str, values: Sequence[str], settings: dict[str, Any], rest: Sequence[str]) -> None:
     """Raises UsageError for a setting that cannot vary, or has no values, or has a value elsewhere."""
     if name not in settings:
-        raise unknown("setting", name, settings)
+        same = [setting for setting in settings if setting.rpartition(".")[2] == name]
+        raise UsageError(f"unknown setting {name!r}{hint(same)}") if same else unknown("setting", name, settings)
     if name in FIXED:
         raise UsageError(f"--vary {name} is not possible: trials share family, tasks and seeds")
     if len(values) < 2:

@@ -178,6 +178,8 @@ def read(
     agent = _option(rest, "--agent", settings.get("agent", "ear"))
     if preset != settings.get("preset", preset):
         raise UsageError(f"--preset {preset} does not go with {file}, whose settings are those of {settings['preset']}")
+    if (of := settings.get("family", family)) != family and settings.get("tasks") and "--tasks" not in rest:
+        raise UsageError(f"{file} has tasks of {of}; name those of {family} with --tasks")
     settings = {**settings, "family": family, "agent": agent}
     drafted = (family, agent) == (FAMILIES[0], "ear")  # whose presets are as drafted
     if drafted or not set(HELP) & set(rest):

@@ -60,6 +60,37 @@ def lock_file(path: Path) -> Iterator[None]:
         os.close(file)
 
 
+@contextlib.contextmanager
+def claim_file(path: Path) -> Iterator[None]:
+    """A context that no other process enters for the same file meanwhile.
+
+    Raises:
+      RunError: another process is in it, or the lock cannot be made.
+    """
+    lock = path.with_name(f".{path.name}.lock")
+    try:
+        file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    except OSError as error:
+        raise RunError(f"cannot make {lock}: {error.strerror}") from None
+    try:
+        _claim(file, path)
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)
+    finally:
+        os.close(file)
+
+
+def _claim(file: int, path: Path) -> None:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise RunError(f"another process writes {path}; wait for it, or name another file") from None
+    except OSError:  # some file systems have no locks
+        return
+
+
 def write_text(path: Path, text: str) -> None:
     """Replaces a UTF-8 file; raises RunError if it cannot be written."""
     with replace_file(path) as scratch:

@@ -10,9 +10,8 @@ import ctypes
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from types import FrameType, TracebackType
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from types import TracebackType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SHOW_CURSOR = b"\x1b[?25h"  # the progress bar hides it
@@ -28,41 +27,28 @@ class Stopped(Exception):
         super().__init__(signal.Signals(number).name)
 
 
-class StopRequest:
-    """A context that records the first stop signal instead of ending the process.
+class Listener:
+    """A context in which a thread of its own handles signals.
 
-    Python runs signal handlers only between bytecodes of the main thread, which spends a whole block inside a compiled
-    program. A separate thread therefore reads signals from the pipe that the interpreter writes them to. SIGHUP stays
-    ignored where it was, as by `nohup`.
-
-    Entered in another thread it records none, as signals are the main thread's; they do what the program decides.
+    Python runs signal handlers only between bytecodes of the main thread, which spends whole blocks and roll-outs
+    inside a compiled program. The thread therefore reads signals from the pipe that the interpreter writes them to.
     """
 
-    def __init__(self, announce: Callable[[str], None], unit: str = "block"):
-        """Creates one that announces that the program stops after the `unit` in hand."""
-        self.signal: int | None = None
-        self._announce = announce
-        self._unit = unit
-        self._listens = False
+    def __init__(self, numbers: Sequence[int], handle: Callable[[int], None]):
+        """Creates one for some signals; `handle` gets the number of each that comes."""
+        self._numbers = numbers
+        self._handle = handle
 
-    def __enter__(self) -> StopRequest:
-        self._old_handlers: dict[int, Any] = {}
-        self._listens = threading.current_thread() is threading.main_thread()
-        if not self._listens:
-            return self
+    def __enter__(self) -> Listener:
         self._read_end, self._write_end = os.pipe()
         os.set_blocking(self._write_end, False)
-        for number in SIGNALS:
-            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
-                self._old_handlers[number] = signal.signal(number, lambda *_: None)
+        self._old_handlers = {number: signal.signal(number, lambda *_: None) for number in self._numbers}
         self._old_wakeup_fd = signal.set_wakeup_fd(self._write_end)
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if not self._listens:
-            return
         signal.set_wakeup_fd(self._old_wakeup_fd)
         for number, handler in self._old_handlers.items():
             signal.signal(number, handler)
@@ -72,8 +58,33 @@ class StopRequest:
 
     def _listen(self) -> None:
         while byte := os.read(self._read_end, 1):
-            if byte[0] in SIGNALS:
+            if byte[0] in self._numbers:
                 self._handle(byte[0])
+
+
+class StopRequest:
+    """A context that records the first stop signal instead of ending the process.
+
+    SIGHUP stays ignored where it was, as by `nohup`. Entered in another thread it records none, as signals are the main
+    thread's; they do what the program decides.
+    """
+
+    def __init__(self, announce: Callable[[str], None], unit: str = "block"):
+        """Creates one that announces that the program stops after the `unit` in hand."""
+        self.signal: int | None = None
+        self._announce = announce
+        self._unit = unit
+        self._entered = contextlib.ExitStack()
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+            numbers = [number for number in SIGNALS if number != signal.SIGHUP or not ignored]
+            self._entered.enter_context(Listener(numbers, self._handle))
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._entered.close()
 
     def _handle(self, number: int) -> None:
         if self.signal is not None:
@@ -84,17 +95,17 @@ class StopRequest:
 
 @contextlib.contextmanager
 def leave_on_interrupt() -> Iterator[None]:
-    """A context in which Ctrl-C ends the process at once, with exit code 130.
+    """A context in which Ctrl-C ends the process at once, with exit code 130, also inside a compiled program.
 
     Python's own way, an exception, may come up inside a library that swallows it, as while JAX is imported. Nothing is
     half-written by leaving, as outputs replace files whole.
     """
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # the program has its own way, or ignores it
+    # Where the program has its own way, or ignores Ctrl-C, or this is another thread, nothing changes.
+    own = signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    if own or threading.current_thread() is not threading.main_thread():
         yield
         return
-    with contextlib.ExitStack() as after:
-        if threading.current_thread() is threading.main_thread():
-            after.callback(signal.signal, signal.SIGINT, signal.signal(signal.SIGINT, _say_and_leave))
+    with Listener((signal.SIGINT,), _say_and_leave):
         yield
 
 
@@ -114,7 +125,7 @@ def stop_with_parent() -> None:
         _leave(signal.SIGTERM)
 
 
-def _say_and_leave(number: int, _: FrameType | None) -> None:
+def _say_and_leave(number: int) -> None:
     with contextlib.suppress(OSError):
         os.write(2, b"ear: interrupted\n")
     _leave(number)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import ear_jax
+from ear_jax import pretrained
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.documents import read_json, write_json
 from ear_jax.files.replacing import folder, write_text
@@ -40,8 +41,12 @@ def read_run(run: Path) -> dict[str, Any]:
     """Returns a run's `config.json`; raises UsageError if there is no run, RunError if it cannot be read."""
     path = run / "config.json"
     if not path.is_file():
-        hint = "`ear train` makes one, and `ear pretrained` lists agents that ship"
-        raise UsageError(f"{run} is not a run directory: it has no config.json ({hint})")
+        if str(run).startswith(pretrained.PREFIX):
+            raise UsageError(f"{run} has no metrics: it ships without its run; name a run directory")
+        if str(run) in pretrained.names():
+            raise UsageError(f"{run} is not a run directory; did you mean {pretrained.PREFIX}{run}?")
+        made = "`ear train` makes one, and `ear pretrained` lists agents that ship"
+        raise UsageError(f"{run} is not a run directory: it has no config.json ({made})")
     document = read_json(path)
     if not isinstance(document.get("config"), dict):
         raise RunError(f"{path} cannot be read: 'config' is not a table of settings")

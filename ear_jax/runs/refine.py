@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax.agents.networks import Params
+from ear_jax.config import flat_tree
 from ear_jax.errors import RunError, UsageError
 from ear_jax.learning.ppo import Ppo, PpoLearner, PpoState, batches
 from ear_jax.process.runtime import compiler_options
@@ -94,6 +95,7 @@ def refine(
     about = {"of": trained.fingerprint, "seed": seed, "episodes": episodes, **asdict(settings)}
     if part is not None and part.exists():
         state, course = _read(part, state, about)
+        say(f"continuing {part} from iteration {course.iteration}")
     else:
         course = Course(play(trained.policies).tolist())
     keep = partial(_write, part, about) if part is not None else None
@@ -190,9 +192,11 @@ def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, 
             raise RunError(f"{part} is damaged")
     except RunError as error:
         raise RunError(f"{error}; delete it to begin anew") from None
-    found = json.loads(metadata["refinement"])
-    if found != json.loads(json.dumps(about)) or first_difference(layout(named_leaves(like)), layout(arrays)):
-        raise UsageError(f"{part} belongs to a refinement with another policy or settings; delete it to begin anew")
+    found, wanted = (flat_tree(one) for one in (json.loads(metadata["refinement"]), json.loads(json.dumps(about))))
+    changed = [f"{name} was {found.get(name)}, is {wanted[name]}" for name in wanted if found.get(name) != wanted[name]]
+    if changed or first_difference(layout(named_leaves(like)), layout(arrays)):
+        reason = "; ".join(changed) or "the policy has other sizes"
+        raise UsageError(f"{part} is of another refinement ({reason}); give the same settings, or name another file")
     course = json.loads(metadata["course"])
     return rebuild(like, arrays), Course(**{**course, "returns": tuple(course["returns"])})
 

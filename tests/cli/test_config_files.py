@@ -16,6 +16,7 @@ from ear_jax.cli.main import COMMANDS, main
 from ear_jax.cli.train import read
 from ear_jax.config import Config
 from ear_jax.config_files import read_settings, to_toml, with_settings
+from ear_jax.errors import UsageError
 from ear_jax.names import METHODS
 from ear_jax.presets import PRESETS, draft_config
 
@@ -41,7 +42,9 @@ def test_a_command_line_comes_back_from_its_file_and_flags_go_over_it(capsys):
     assert main(["config", *words]) == 0
     Path("mine.toml").write_text(capsys.readouterr().out)
     assert read(["--config", "mine.toml"]).config == read(words).config
-    over = read(["ant-dir", "--config=mine.toml", "--sac.lr", "1e-3", "--seed", "7"]).config
+    with pytest.raises(UsageError, match="has tasks of halfcheetah-vel; name those of ant-dir with --tasks"):
+        read(["ant-dir", "--config", "mine.toml"])
+    over = read(["ant-dir", "--config=mine.toml", "--sac.lr", "1e-3", "--seed", "7", "--tasks", "0", "90"]).config
     assert (over.family, over.sac.lr, over.seed, over.preset) == ("ant-dir", 1e-3, 7, "smoke")
     assert not over.replay.share_experience
     assert main(["config", "--config", "mine.toml", "--json"]) == 0

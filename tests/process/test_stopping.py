@@ -39,6 +39,14 @@ with StopRequest(lambda line: print(line, flush=True)):
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)  # minutes in C, where no Python handler runs
 """
 
+LEAVES = """
+import hashlib
+from ear_jax.process.stopping import leave_on_interrupt
+with leave_on_interrupt():
+    print("ready", flush=True)
+    hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+"""
+
 HOLDER = """
 import sys
 from pathlib import Path
@@ -61,6 +69,15 @@ def test_the_first_is_answered_and_the_second_obeyed_at_once_in_the_middle_of_co
         assert process.poll() is None
         process.send_signal(number)
         assert process.wait(timeout=30) == code
+
+
+def test_ctrl_c_ends_a_command_in_the_middle_of_compiled_code():
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", LEAVES], **pipes) as process:
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=30) == 130
+        assert process.stderr.read() == "ear: interrupted\n"
 
 
 def test_handlers_are_put_back():
@@ -99,12 +116,12 @@ def test_in_a_thread_signals_are_left_alone():
 
 
 SWALLOWS = """
-import os, signal
+import os, signal, time
 from ear_jax.cli import main
 def swallow(*_):
     try:
         os.kill(os.getpid(), signal.SIGINT)
-        for _ in range(1000): pass  # where the handler runs
+        time.sleep(20)  # the process ends meanwhile
     except BaseException:
         pass
     print("it went on")

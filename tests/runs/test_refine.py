@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ear_jax.errors import RunError, UsageError
+from ear_jax.files.replacing import claim_file
 from ear_jax.learning.ppo import Ppo
 from ear_jax.process.stopping import Stopped
 from ear_jax.runs import refine as refining
@@ -83,11 +84,20 @@ def test_one_that_was_stopped_continues_bit_by_bit(toy, whole, tmp_path, stops, 
     assert {**ends, "seconds": 0} == {**whole[1], "seconds": 0}
 
 
+def test_one_file_has_one_writer(tmp_path):
+    complaint = r"another process writes .*a\.part; wait for it, or name another file"
+    with claim_file(tmp_path / "a.part"), pytest.raises(RunError, match=complaint), claim_file(tmp_path / "a.part"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_what_was_kept_of_another_refinement_or_is_damaged_is_refused(toy, tmp_path, stops):
     part = tmp_path / "refined.part"
     with pytest.raises(Stopped):
         refine(toy, SMALL, 1, part=part)
-    with pytest.raises(UsageError, match="another policy or settings; delete it"):
+    with pytest.raises(
+        UsageError, match=r"another refinement \(seed was 0, is 1\); give the same settings, or name another file"
+    ):
         refine(toy, SMALL, 1, seed=1, part=part)
     content = part.read_bytes()
     for damaged in (content[:-1] + bytes([content[-1] ^ 1]), content[:100]):
