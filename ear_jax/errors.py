@@ -58,6 +58,11 @@ def nearest(word: str, known: Iterable[str]) -> list[str]:
     return [lowered[name] for name in difflib.get_close_matches(wanted, lowered, n=1)]
 
 
+def counted(number: int, noun: str) -> str:
+    """Returns a number of things in words, as in 1 blend or 1,000 blends."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
+
+
 def in_order(names: Iterable[str]) -> list[str]:
     """Sorts names, and numbers in them by value: vel-2 comes before vel-10."""
 

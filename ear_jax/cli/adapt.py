@@ -10,7 +10,7 @@ from ear_jax.cli.arguments import check_finite, check_least, option, parse, shie
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, label_of, print_table, show_and_keep
 from ear_jax.embeddings import ltes
-from ear_jax.errors import UsageError, plain
+from ear_jax.errors import UsageError, counted, plain
 from ear_jax.process.terminal import phase
 
 if TYPE_CHECKING:
@@ -75,10 +75,8 @@ def _adapt(command: AdaptCommand, trained: Trained) -> None:
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
     _check_for(trained, command, search, tasks)
     each = search.epochs * episodes_an_epoch(trained.program, search)
-    activity = (
-        "mapping the LTE sphere" if command.zero_shot else f"adapting to {len(tasks)} tasks, {each} episodes each"
-    )
-    with phase(activity):
+    searching = f"adapting to {counted(len(tasks), 'task')}, {counted(each, 'episode')} each"
+    with phase("mapping the LTE sphere" if command.zero_shot else searching):
         chosen = None if command.zero_shot else search
         document = adapt(trained, tasks, chosen, command.episodes, command.seed, within_reach=bool(named))
     kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
@@ -100,7 +98,7 @@ def _ask(command: AdaptCommand, trained: Trained) -> None:
     if command.save is not None:
         _check_save(command.save, trained)
         check_writable(trained.directory)
-    with phase(f"adapting to {len(command.reward)} reward{'s' * (len(command.reward) > 1)}"):
+    with phase(f"adapting to {counted(len(command.reward), 'reward')}"):
         chosen = None if command.zero_shot else search
         document = adapt_to_rewards(trained, rewards, chosen, command.episodes, command.seed, PLACES)
     kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)

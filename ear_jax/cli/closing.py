@@ -58,7 +58,8 @@ def say_summary(directory: Path, rows: Sequence[dict[str, Any]]) -> None:
         f"\n{directory}: {epochs[-1]} epochs, {last[0]['env_steps']:,} env steps and {last[0]['updates']:,} updates"
         f"{' per seed' * (len(last) > 1)} in {_minutes(last[0]['seconds'])}"
     )
-    say(f"return: {means[0]:.1f} at epoch {epochs[0]}, {means[-1]:.1f} at epoch {epochs[-1]}{seeds}")
+    first = f"{means[0]:.1f} at epoch {epochs[0]}, " if len(means) > 1 else ""
+    say(f"return: {first}{means[-1]:.1f} at epoch {epochs[-1]}{seeds}")
     if len(means) > 2:
         say(f"        {sparkline(means, min(60, console.width - 10))}")
     returns = {name: _mean([row["returns"][name] for row in last]) for name in last[0]["returns"]}

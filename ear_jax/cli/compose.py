@@ -11,7 +11,7 @@ import tyro
 from ear_jax.cli.arguments import check_betas, check_least, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
-from ear_jax.errors import UsageError
+from ear_jax.errors import UsageError, counted
 from ear_jax.process.terminal import phase
 
 BETAS = tuple(round(0.1 * step, 1) for step in range(10, -1, -1))
@@ -46,7 +46,7 @@ def main(words: list[str]) -> None:
     first, second = (find_end(trained, word) for word in command.between)
     if first.name == second.name:
         raise UsageError(f"--between {' '.join(command.between)} names one task twice")
-    with phase(f"rolling out {len(command.beta)} blends"):
+    with phase(f"rolling out {counted(len(command.beta), 'blend')}"):
         document = compose(trained, first, second, command.beta, command.steps, command.seed)
     kept = partial(keep, trained.directory, "composition", label_of(command), document, draw_compose)
     show_and_keep(document, command.json, _print, kept)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ear_jax.cli.arguments import parse
-from ear_jax.errors import RunError
+from ear_jax.errors import RunError, counted
 from ear_jax.process import environment
 from ear_jax.process.terminal import sign_of_life
 from ear_jax.runs import records
@@ -42,7 +42,7 @@ def main(words: list[str]) -> None:
     else:
         _print(findings)
     if problems:
-        raise RunError(f"{len(problems)} problem{'s' * (len(problems) > 1)} found: {'; '.join(problems)}")
+        raise RunError(f"{counted(len(problems), 'problem')} found: {'; '.join(problems)}")
 
 
 def known_bad(versions: dict[str, str | None], python: tuple[int, int]) -> list[str]:

@@ -12,7 +12,7 @@ from ear_jax.cli.arguments import check_least, option, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
 from ear_jax.embeddings import ltes
-from ear_jax.errors import plain
+from ear_jax.errors import counted, plain
 from ear_jax.process.terminal import phase, say
 from ear_jax.runs import records
 
@@ -43,14 +43,14 @@ def main(words: list[str]) -> None:
     if command.lte:
         seeds, size = trained.program.config.seeds, trained.program.agent.code_size
         codes = jnp.array(ltes.find(trained.directory, command.lte, seeds, size, trained.fingerprint))
-        with phase(f"playing {command.episodes} episodes"):
+        with phase(f"playing {counted(command.episodes, 'episode')}"):
             document = evaluate_code(trained, codes, command.episodes, command.seed)
         if command.json:
             print(json.dumps(document))
         else:
             _print_code(document)
         return
-    with phase(f"playing {command.episodes} episodes of {len(trained.program.tasks)} tasks"):
+    with phase(f"playing {counted(command.episodes, 'episode')} of {counted(len(trained.program.tasks), 'task')}"):
         document = evaluate(trained, command.episodes, command.seed)
     kept = partial(keep_evaluation, trained.directory, document, label_of(command))
     show_and_keep(document, command.json, print_evaluation, kept)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from ear_jax.cli.arguments import check_betas, check_finite, check_least, option, parse
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import keep, label_of, print_table, show_and_keep
-from ear_jax.errors import UsageError
+from ear_jax.errors import UsageError, counted
 from ear_jax.process.terminal import phase
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def main(words: list[str]) -> None:
         pairs = [find_pair(trained, *command.between)]
     else:
         pairs = adjacent_pairs(trained_ends(trained), trained.program.family)
-    with phase(f"rolling out {len(command.beta or BETAS)} blends of {len(pairs)} pair{'s' * (len(pairs) != 1)}"):
+    with phase(f"rolling out {counted(len(command.beta or BETAS), 'blend')} of {counted(len(pairs), 'pair')}"):
         if command.beta:
             document = _at_betas(trained, pairs, command)
         else:

@@ -11,7 +11,7 @@ import tyro
 
 from ear_jax.cli.arguments import parse
 from ear_jax.config import from_dict
-from ear_jax.errors import UsageError
+from ear_jax.errors import UsageError, counted
 from ear_jax.process.terminal import say
 from ear_jax.runs import records
 from ear_jax.runs.tracking import TENSORBOARD, tracking
@@ -47,6 +47,6 @@ def main(words: list[str]) -> None:
     if command.json:
         print(json.dumps({"rows": rows, "tensorboard": str(folder) if command.tensorboard else None}))
         return
-    print(f"{rows} rows of metrics copied")
+    print(f"{counted(rows, 'row')} of metrics copied")
     if command.tensorboard:
         print(f"tensorboard --logdir {folder}")

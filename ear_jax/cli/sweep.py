@@ -15,7 +15,7 @@ from ear_jax.cli import train
 from ear_jax.cli.arguments import check_least, option
 from ear_jax.cli.results import keep, print_table, show_and_keep
 from ear_jax.config import Config, flag, flat, run_name
-from ear_jax.errors import UsageError, hint, unknown
+from ear_jax.errors import UsageError, counted, hint, unknown
 from ear_jax.limits import check
 from ear_jax.presets import check_effect
 from ear_jax.process import hosts
@@ -189,7 +189,7 @@ def print_plan(groups: Sequence[Sequence[Trial]], directory: Path) -> None:
     from ear_jax.runs.training import make_program
 
     for number, trials in enumerate(groups, start=1):
-        print(f"program {number} of {len(groups)}: {len(trials)} runs side by side, in {directory}")
+        print(f"program {number} of {len(groups)}: {counted(len(trials), 'run')} side by side, in {directory}")
         for trial in trials:
             print(f"  {trial.name}")
         config = with_engine(members([trial.config for trial in trials]), say)

@@ -18,7 +18,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ear_jax.errors import UsageError, plain, unknown
+from ear_jax.errors import UsageError, counted, plain, unknown
 
 Outcome = dict[str, jax.Array]
 Value = Callable[[Outcome], Any]  # of a part of an expression
@@ -55,6 +55,12 @@ OPERATORS: dict[type[ast.AST], Callable[..., jax.Array]] = {
     ast.GtE: jnp.greater_equal,
     ast.Eq: jnp.equal,
     ast.NotEq: jnp.not_equal,
+}
+UNKNOWN: dict[type[ast.AST], str] = {
+    ast.Mod: "%",
+    ast.FloorDiv: "//",
+    ast.MatMult: "@",
+    ast.BitXor: "^ (a power is **)",
 }
 ALLOWED = "+ - * / **, < <= > >= == !=, and, or, not, X if … else Y, numbers, outcomes and functions"
 
@@ -169,10 +175,10 @@ class _Builder:
         function, fewest, most = FUNCTIONS[name]
         count = len(node.args)
         if node.keywords or any(isinstance(argument, ast.Starred) for argument in node.args):
-            raise self._mistake(node, f"{name} takes values only, as in {name}(x)")
+            raise self._mistake(node, f"{name} takes values only, as in {name}({', '.join('xyz'[:fewest])})")
         if count < fewest or (most is not None and count > most):
-            wanted = f"{fewest}" if most == fewest else f"at least {fewest}"
-            raise self._mistake(node, f"{name} takes {wanted} value{'s' * (fewest > 1)}, not {count}")
+            wanted = "" if most == fewest else "at least "
+            raise self._mistake(node, f"{name} takes {wanted}{counted(fewest, 'value')}, not {count}")
         return _of_numbers(function, *map(self.build, node.args))
 
     def _mistake(self, node: ast.AST, reason: str) -> UsageError:
@@ -207,5 +213,7 @@ def _shown(node: ast.AST) -> str:
     """Returns the words for a node that no reward has."""
     if isinstance(node, ast.Constant):
         return "a text" if isinstance(node.value, str) else repr(node.value)
+    if isinstance(node, ast.BinOp):
+        return UNKNOWN.get(type(node.op), "this operator")
     words = {ast.Attribute: "an attribute", ast.Subscript: "an index", ast.Lambda: "a function"}
     return words.get(type(node), f"a Python {type(node).__name__}")

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from ear_jax.envs.family import Family
-from ear_jax.errors import UsageError
+from ear_jax.errors import UsageError, counted
 from ear_jax.physics import Motion, Physics
 from ear_jax.process.terminal import say
 from ear_jax.tasks import TaskSet
@@ -67,7 +67,7 @@ def check_steps(family: Family, start: Physics, tasks: TaskSet, calls: dict[str,
     for step in range(1, STEPS + 1):
         action = jnp.asarray(rng.uniform(-1, 1, family.action_size), jnp.float32)
         motion = _step(family, data, *calls["actuate"](now, action))
-        now, moment = motion.after, f"after {step} step{'s' * (step > 1)} of random actions"
+        now, moment = motion.after, f"after {counted(step, 'step')} of random actions"
         if not all(np.all(np.abs(leaf) < mujoco.mjMAXVAL) for leaf in jax.tree.leaves(now)):
             return
         expect("observe()", calls["observe"](now), moment)

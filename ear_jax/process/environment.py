@@ -79,7 +79,7 @@ def wrong_settings() -> list[str]:
 
 def _blame(error: Exception, package: str, variable: str, instead: str) -> str:
     """Returns one line about a failure to start a package, with the variable that is the likely reason."""
-    reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+    reason = next(iter(str(error).splitlines()), "its plugin or device is missing")
     way_out = f"unset it, or set {instead}"
     for name in [name for name in os.environ if name.startswith(THEIRS) and name in reason]:
         return f"{name}={os.environ[name]} does not work here: {reason}; unset it"

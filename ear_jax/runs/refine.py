@@ -19,7 +19,7 @@ import numpy as np
 
 from ear_jax.agents.networks import Params
 from ear_jax.config import flat_tree
-from ear_jax.errors import RunError, UsageError
+from ear_jax.errors import RunError, UsageError, counted
 from ear_jax.learning.ppo import Ppo, PpoLearner, PpoState, batches
 from ear_jax.process.runtime import compiler_options
 from ear_jax.process.stopping import Stopped, StopRequest
@@ -171,7 +171,7 @@ def _player(trained: Trained, keys: jax.Array, episodes: int) -> Callable[[Param
     of_all = jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
 
     def play(policies: Params) -> np.ndarray:
-        with phase(f"playing {episodes} episodes of {len(program.tasks)} tasks"):
+        with phase(f"playing {counted(episodes, 'episode')} of {counted(len(program.tasks), 'task')}"):
             return np.asarray(of_all(policies, keys))
 
     return play

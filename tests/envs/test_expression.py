@@ -62,6 +62,8 @@ def test_values(text, value):
         ("mx(1, 2)", "column 1 .*unknown function 'mx'; did you mean 'max'"),
         ("abs(1, 2)", "abs takes 1 value, not 2"),
         ("max(1)", "max takes at least 2 values, not 1"),
+        ("max(velocity, *velocity)", r"max takes values only, as in max\(x, y\)"),
+        ("velocity % 2", "column 1 .*: % is not allowed in a reward"),
         ("clip(1, x=2)", "clip takes values only"),
         ("max(*velocity)", "max takes values only"),
         ("velocity.real", "column 1 .*an attribute is not allowed"),
