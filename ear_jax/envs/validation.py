@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from ear_jax.envs.family import Family
@@ -66,9 +66,10 @@ def check_task(task: Any, like: Any, source: str) -> None:
     if not isinstance(task, Task):
         raise UsageError(f"{source}: a task must be a Task, but is {_kind(task)}")
     if not (_is_text(task.name) and (task.target is None or _is_number(task.target))):
-        raise UsageError(f"{source}: a task needs a name and a target, a finite number or None, but one is {task}")
+        wanted = f"a name and a target, a number below {mujoco.mjMAXVAL:g} or None"
+        raise UsageError(f"{source}: a task needs {wanted}, but one is {task}")
     if not (isinstance(task.params, dict) and task.params and all(map(_is_number, task.params.values()))):
-        wanted = f"the params of task {task.name!r} must be finite numbers by name"
+        wanted = f"the params of task {task.name!r} must be numbers below {mujoco.mjMAXVAL:g} by name"
         raise UsageError(f"{source}: {wanted}, but are {task.params}")
     if task.params.keys() != like.params.keys():
         raise UsageError(f"{source}: tasks {like.name!r} and {task.name!r} have different numbers in their params")
@@ -153,8 +154,8 @@ def _kind(value: Any) -> str:
 
 
 def _is_number(value: Any) -> bool:
-    """Returns True for a finite Python number, which JSON can hold."""
-    return isinstance(value, (int, float)) and math.isfinite(value)
+    """Returns True for a Python number below MuJoCo's own limit, past which a step counts as not finite."""
+    return isinstance(value, (int, float)) and abs(value) < mujoco.mjMAXVAL
 
 
 def _is_count(value: Any) -> bool:

@@ -74,7 +74,7 @@ BROKEN = [
     ({"training_tasks": tasks_of({"action": 1.0}, {})}, r"training_tasks\(\): the params of task 'task-1' must be"),
     (
         {"training_tasks": tasks_of({"action": jnp.inf})},
-        r"training_tasks\(\): the params .* must be finite numbers by name",
+        r"training_tasks\(\): the params .* must be numbers below 1e\+10 by name",
     ),
     (
         {"training_tasks": tasks_of({"action": [1.0, 2.0]}, {"action": [1.0]})},
@@ -86,7 +86,7 @@ BROKEN = [
     ),
     (
         {"training_tasks": lambda self: task_set([Task("a", jnp.nan, {"action": 0.0})])},
-        r"training_tasks\(\): a task needs .* finite",
+        r"training_tasks\(\): a task needs .* below 1e\+10",
     ),
     ({"adaptation_tasks": never}, r"adaptation_tasks\(\) fails: ValueError: never"),
     ({"adaptation_tasks": tasks_of({"speed": 1.0})}, r"adaptation_tasks\(\): tasks '-0\.5' and 'task-0' have"),
