@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import os
 import signal
 import threading
@@ -40,7 +41,7 @@ class Listener:
         self._handle = handle
 
     def __enter__(self) -> Listener:
-        self._read_end, self._write_end = os.pipe()
+        self._read_end, self._write_end = _pipe()
         os.set_blocking(self._write_end, False)
         self._old_handlers = {number: signal.signal(number, lambda *_: None) for number in self._numbers}
         self._old_wakeup_fd = signal.set_wakeup_fd(self._write_end)
@@ -60,6 +61,15 @@ class Listener:
         while byte := os.read(self._read_end, 1):
             if byte[0] in self._numbers:
                 self._handle(byte[0])
+
+
+def _pipe() -> tuple[int, int]:
+    """Returns the ends of a pipe, which take the place of no standard stream that is closed."""
+    ends = os.pipe()
+    read_end, write_end = (fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 3) for end in ends)
+    for end in ends:
+        os.close(end)
+    return read_end, write_end
 
 
 class StopRequest:

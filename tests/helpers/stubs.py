@@ -17,7 +17,7 @@ COMPUTES = (
     "ear_jax.embeddings.interpolate.play_blends",
     "ear_jax.embeddings.compose.compose",
     "ear_jax.embeddings.adapt.adapt",
-    "ear_jax.embeddings.map.survey",
+    "ear_jax.embeddings.map.play_maps",
     "ear_jax.embeddings.rewards.adapt_to_rewards",
     "ear_jax.embeddings.imagine.imagine",
     "ear_jax.embeddings.survey.find_survey",

@@ -228,7 +228,7 @@ def test_the_demo_takes_neighbours_that_are_met():
         ("demo --pretrained a b", "names 2 agents; name one"),
         ("demo --pretrained hopper-vel --out x", "--out applies only to training"),
         ("pretrained hopper-vel", "'hopper-vel' is one word too many"),
-        ("evaluate hopper-vel", "`ear pretrained` lists agents that ship"),
+        ("evaluate hopper-vel", "did you mean pretrained:hopper-vel?"),
     ],
 )
 def test_a_mistake_gets_one_clear_line(words, complaint, tmp_path, monkeypatch, capsys):
