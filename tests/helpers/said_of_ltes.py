@@ -107,20 +107,21 @@ def of_courses() -> list[str]:
     """Words of `docs/asking-for-behaviour.md` about profiles and the ant's square."""
     rows = [row for row in records.read_rows(common.RESULTS / "following.jsonl") if not row["quick"]]
     newest = {(row["course"], row["way"]): row for row in rows}
+    *_, slower, pursuit = (row for row in rows if row["way"] == "pursuit")
     profiles = [row for row in newest.values() if row["unit"] == "m/s"]
     spline, look_up = (
         [f"{row['error']:.2f}" for row in profiles if row["way"] == way] for way in ("spline", "look-up")
     )
-    (pursuit,) = (row for row in newest.values() if row["way"] == "pursuit")
-    open_loop, by_spline = (newest[pursuit["course"], way]["error"] for way in ("look-up", "spline"))
+    count = len(pursuit["errors"])
+    met, met_before = (sum(error <= 1 for error in row["errors"]) for row in (pursuit, slower))
     seconds = [row[name] for row in profiles for name in ("first_seconds", "seconds")]
     return [
         f"after the first second was {spline[0]}, {spline[1]} and {spline[2]} m/s on three profiles",
         f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
         f"Without a film the command took {min(seconds):.0f} to {max(seconds):.0f} s on two cores",
-        f"from {sum(error <= 1 for error in pursuit['errors'])} of {len(pursuit['errors'])} fresh starts",
-        f"from the other it missed one by {max(pursuit['errors']):.1f} m",
+        f"passed within a metre of every way-point from {met} of {count} fresh starts",
+        f"fell on the way from {count - round(count * pursuit['lasted'])} of them",
         f"it turned wide, up to {max(pursuit['aside']):.1f} m from the path",
-        f"missed a way-point by {open_loop:.1f} m by look-up",
-        f"by {by_spline:.1f} m along a spline",
+        f"it missed a way-point by {newest[pursuit['course'], 'look-up']['error']:.1f} m",
+        f"passed every way-point from {met_before} of {len(slower['errors'])}",
     ]
