@@ -21,7 +21,7 @@ from ear_jax.errors import UsageError
 
 Parsed = TypeVar("Parsed")
 HELP = ("-h", "--help")
-MAX_BETA = 1000  # further out, all blends of a pair are one in float32
+MAX_BETA = 1000  # further out a blend hardly turns any more
 
 
 def parse(
