@@ -46,12 +46,7 @@ def lock_file(path: Path) -> Iterator[None]:
     Raises:
       RunError: the lock cannot be taken.
     """
-    lock = path.with_name(f".{path.name}.lock")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-    except OSError as error:
-        raise RunError(f"cannot make {lock}: {error.strerror}") from None
+    _, file = _open_lock(path)
     try:
         with contextlib.suppress(OSError):  # some file systems have no locks
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -67,11 +62,7 @@ def claim_file(path: Path) -> Iterator[None]:
     Raises:
       RunError: another process is in it, or the lock cannot be made.
     """
-    lock = path.with_name(f".{path.name}.lock")
-    try:
-        file = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-    except OSError as error:
-        raise RunError(f"cannot make {lock}: {error.strerror}") from None
+    lock, file = _open_lock(path)
     try:
         _claim(file, path)
         try:
@@ -80,6 +71,16 @@ def claim_file(path: Path) -> Iterator[None]:
             lock.unlink(missing_ok=True)
     finally:
         os.close(file)
+
+
+def _open_lock(path: Path) -> tuple[Path, int]:
+    """Opens the file beside `path` that locks it; returns its path and descriptor."""
+    lock = path.with_name(f".{path.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return lock, os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    except OSError as error:
+        raise RunError(f"cannot make {lock}: {error.strerror}") from None
 
 
 def _claim(file: int, path: Path) -> None:
