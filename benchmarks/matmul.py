@@ -1,6 +1,6 @@
 """Wall time of a gradient update with bfloat16 matmuls, compared with float32.
 
-`times_faster` is the median ratio of paired runs. It depends on the processor: bfloat16 is faster only with AMX.
+`times_faster` is the median ratio of paired runs. It depends on the processor's instructions for bfloat16.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def measure(options: argparse.Namespace, width: int, updates: int, repeats: int)
         "batch_size": config.sac.batch_size,
         "updates": updates,
         "repeats": repeats,
-        "amx": runtime.has_amx(),
+        "bfloat16_instructions": runtime.bfloat16_instructions(),
     }
     for name, timing in timings.items():
         row |= common.spread(f"{name}_ms", [1e3 * value / updates for value in timing.seconds])

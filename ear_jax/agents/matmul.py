@@ -1,4 +1,4 @@
-"""Matmuls that multiply in bfloat16 and add in float32, several times as fast as float32 on a CPU with AMX.
+"""Matmuls that multiply in bfloat16 and add in float32, faster than float32 on CPUs with instructions for it.
 
 This holds for the forward and the backward pass. Inputs, outputs, parameters and gradients are float32.
 """

@@ -90,7 +90,7 @@ def _running() -> dict[str, Any]:
     from ear_jax.physics import choose_engine
     from ear_jax.process.memory import available
     from ear_jax.process.precision import numbers
-    from ear_jax.process.runtime import cache_dir, compiler_options, has_amx
+    from ear_jax.process.runtime import bfloat16_instructions, cache_dir, compiler_options
 
     rooms = available()
     return {
@@ -99,7 +99,7 @@ def _running() -> dict[str, Any]:
             "devices": [str(device.device_kind) for device in jax.local_devices()],
             "free_memory_gb": round(min(room.bytes for room in rooms) / 1e9, 1) if rooms else None,
             "matmul_precision": getattr(jax.config, "jax_default_matmul_precision", None) or "default",
-            "amx": has_amx(),
+            "bfloat16_instructions": bfloat16_instructions(),
         },
         "arithmetic": numbers(),
         "engine": choose_engine("auto"),
@@ -117,5 +117,5 @@ def _print(findings: dict[str, Any], indent: str = "") -> None:
         elif name in ("lacking", "problems"):
             print(f"{name}: " + ("; ".join(value) or "none"))
         else:
-            shown = ", ".join(map(str, value)) if isinstance(value, list) else "none" if value is None else value
+            shown = ", ".join(map(str, value)) or "none" if isinstance(value, list) else "none" if value is None else value
             print(f"{indent}{name.replace('_', ' ')}: {shown}")

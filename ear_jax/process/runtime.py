@@ -66,25 +66,27 @@ def compiler_options(matmul: str = "float32") -> dict[str, Any]:
     """Returns the compiler options of a program.
 
     On the CPU most time goes to matmuls and MuJoCo, which LLVM does not optimise. A lower optimisation level compiles
-    the training step 1.5 to 2 times faster and runs as fast. YNNPACK uses AMX, so it gets the single bfloat16 matmuls
-    on processors that have it. For float32 it is up to a seventh slower. Its fusions of a matmul with later operations
-    cost more than they save: an update under `vmap` takes 1.4 times as long (jaxlib 0.10.2 and 0.12).
+    the training step 1.5 to 2 times faster and runs as fast. YNNPACK uses the processor's instructions for bfloat16, so
+    it gets the single bfloat16 matmuls where there are any. For float32 it is up to a seventh slower. Its fusions of a
+    matmul with later operations cost more than they save: an update under `vmap` takes 1.4 times as long (jaxlib 0.10.2
+    and 0.12).
 
     Args:
       matmul: the precision of most of the program's matmuls, as in `network.matmul`.
     """
     if on_accelerator():
         return {}
-    fusion = "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT" if matmul == "bfloat16" and has_amx() else ""
+    fusion = "LIBRARY_FUSION_TYPE_INDIVIDUAL_DOT" if matmul == "bfloat16" and bfloat16_instructions() else ""
     return {"xla_backend_optimization_level": 1, "xla_cpu_experimental_ynn_fusion_type": fusion}
 
 
-def has_amx() -> bool:
-    """Returns True if the processor has AMX instructions for bfloat16 matrices; known on Linux only."""
+def bfloat16_instructions() -> list[str]:
+    """Returns the processor's instructions that multiply bfloat16, by Linux's names; known on Linux only."""
     try:
-        return "amx_bf16" in Path("/proc/cpuinfo").read_text().split()
+        flags = Path("/proc/cpuinfo").read_text().split()
     except OSError:
-        return False
+        return []
+    return [name for name in ("amx_bf16", "avx512_bf16") if name in flags]
 
 
 def tree_bytes(tree: Any) -> int:
