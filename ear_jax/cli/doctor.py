@@ -117,5 +117,5 @@ def _print(findings: dict[str, Any], indent: str = "") -> None:
         elif name in ("lacking", "problems"):
             print(f"{name}: " + ("; ".join(value) or "none"))
         else:
-            shown = ", ".join(map(str, value)) or "none" if isinstance(value, list) else "none" if value is None else value
-            print(f"{indent}{name.replace('_', ' ')}: {shown}")
+            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+            print(f"{indent}{name.replace('_', ' ')}: {'none' if shown in (None, '') else shown}")

@@ -286,3 +286,12 @@ def of_a_gpu() -> list[str]:
         f"takes {took('xla', 5, 2)} at 5 seeds and {took('xla', 16, 2)} at 16",
         f"took {took('fused', 5, 1)} at 5 seeds ({rounded} in bfloat16) and {took('fused', 16, 1)} at 16",
     ]
+
+
+def of_rounding() -> list[str]:
+    """Words of `docs/training.md` about bfloat16 on two processors."""
+    rows = [row for row in records.read_rows(common.RESULTS / "matmul.jsonl") if not row["quick"]]
+    plain, wide = ([row["times_faster"] for row in rows if row["width"] == width] for width in (256, 512))
+    assert number(min(plain), 1) == number(max(plain), 1)
+    told = f"{min(wide):.1f} to {max(wide):.1f} times"
+    return [f"is {plain[0]:.1f} times as fast as in float32, one of networks twice as wide {told}"]

@@ -69,6 +69,7 @@ def test_readme_and_results_say_what_the_records_say():
         (said.of_the_refined_ant, "docs/refining.md"),
         (said.of_the_penalty, "docs/refining.md"),
         (said.of_a_gpu, "docs/training.md"),
+        (said.of_rounding, "docs/training.md"),
     ],
 )
 def test_documents_say_of_runs_and_commands_what_was_measured(measured, document):
@@ -105,6 +106,7 @@ def test_nothing_that_looks_measured_stands_unchecked(path):
         *said.of_refining(),
         *said.of_refined_heads(),
         *said.of_a_gpu(),
+        *said.of_rounding(),
         *GIVEN,
     ):
         text = text.replace(words, "")
