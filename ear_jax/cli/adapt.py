@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from ear_jax.tasks import TaskSet
 
 
+SEARCH = ("epochs", "elites", "samples", "sigma")
+
+
 @dataclass(frozen=True, kw_only=True)
 class AdaptCommand(OnRun):
     """Find task embeddings (LTEs) for tasks never trained on or for any reward, by search and from a map of the sphere.
@@ -34,7 +37,7 @@ class AdaptCommand(OnRun):
     """Rewards instead, as in "-abs(velocity - 3)": of the outcomes, with + - * / **, comparisons, and, or, not,
     X if … else Y, abs, clip, cos, exp, log, max, min, sign, sin, sqrt, tanh."""
     zero_shot: bool = False
-    """Take the LTE from a map of the LTE sphere, without a search."""
+    """Take the LTE from a map of the LTE sphere, without a search and its options."""
     save: Annotated[str | None, option("NAME")] = None
     """Save the LTE of the only target or reward under this name; other commands take it as --lte NAME."""
     epochs: int = 10
@@ -112,6 +115,9 @@ def _check(command: AdaptCommand) -> None:
     check_finite("--sigma", command.sigma)
     if not command.sigma > 0:
         raise UsageError(f"--sigma {command.sigma:g} is too small; it must be above 0")
+    changed = next((name for name in SEARCH if getattr(command, name) != getattr(AdaptCommand, name)), None)
+    if command.zero_shot and changed:
+        raise UsageError(f"--{changed} sets up a search, which --zero-shot leaves out; give one of the two")
     if command.save is not None:
         ltes.check_name(command.save)
         if len(command.target) + len(command.reward) != 1:

@@ -17,7 +17,8 @@ from ear_jax.runs.comparison import compare
 from ear_jax.runs.groups import two_groups
 
 RETURNS = ("mean", "interquartile_mean")
-COUNTS = ("seeds", "updates", "env_steps", "minutes")
+COUNTS = ("seeds", "episodes", "updates", "env_steps", "minutes")
+NAMES = {"interquartile_mean": "interquartile mean", "episodes": "episodes a task", "env_steps": "env steps"}
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def _print(document: dict[str, Any]) -> None:
         print("settings: equal, apart from seeds")
     returns = {name: [_with_interval(group[name], ".1f") for group in (first, second)] for name in RETURNS}
     counts = {name: [_numbers(group[name]) for group in (first, second)] for name in COUNTS}
-    rows = [(name.replace("_", " "), *values) for name, values in (returns | counts).items()]
+    rows = [(NAMES.get(name, name), *values) for name, values in (returns | counts).items()]
     print_table(("", f"{first['name']}>", f"{second['name']}>"), rows, f"returns, from {document['returns_from']}")
     chance = _with_interval(document["probability_of_improvement"], ".2f")
     print(plain(f"On the same task, a seed of {first['name']} beats a seed of {second['name']}: probability {chance}"))

@@ -27,7 +27,7 @@ class RenderCommand(OnPolicy):
     lte: Annotated[tuple[str, ...], option("NAME|X Y Z")] = ()
     """An LTE saved by `ear adapt --save`, or its numbers, as in 0.1 0.7 -0.7, which are projected onto the sphere."""
     interpolate: Annotated[tuple[str, str] | None, option("A B")] = None
-    """Two training tasks, as in 1 2, and blends of them."""
+    """Two training tasks, as in 1 2, or LTEs saved by `ear adapt --save`, and blends of them."""
     beta: Annotated[tuple[float, ...], option("[β ...]", "0.75 0.5 0.25")] = ()
     """The blends: 1 is the first task, 0 the second; values outside [0, 1] extrapolate."""
     along: Literal["chord", "arc"] = "chord"

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax.agents.networks import Params
+from ear_jax.cli.ends import find_end
 from ear_jax.cli.results import LONGEST, short_hash
 from ear_jax.embeddings import ltes
 from ear_jax.embeddings.interpolate import blend_codes
@@ -39,23 +40,19 @@ class Shot:
 def choose_shots(command: Any, trained: Trained, policy: Params) -> list[Shot]:
     """Returns the roll-outs that the options of `ear render` ask for, in their order."""
     program, agent, tasks = trained.program, trained.program.agent, trained.program.tasks
-    table = agent.codes(policy)
-
-    def row(name: str) -> int:
-        return tasks.index(find_task(program.family, name).name)
-
     if command.task:
-        return [Shot(tasks.names[index], table[index]) for index in map(row, command.task)]
+        table, rows = agent.codes(policy), [tasks.index(find_task(program.family, name).name) for name in command.task]
+        return [Shot(tasks.names[row], table[row]) for row in rows]
     if command.lte:
         codes = ltes.find(trained.directory, command.lte, program.config.seeds, agent.code_size, trained.fingerprint)
         return [Shot("LTE " + " ".join(command.lte), agent.project(jnp.array(codes[command.policy])))]
-    first, second = map(row, command.interpolate or ())
-    if first == second:
-        raise UsageError(f"--interpolate {' '.join(command.interpolate or ())} names one task twice")
+    ends = [find_end(trained, word) for word in command.interpolate]
+    if ends[0].name == ends[1].name:
+        raise UsageError(f"--interpolate {' '.join(command.interpolate)} names one task twice")
+    first, second = (Shot(end.name, jnp.array(end.codes[command.policy])) for end in ends)
     betas = sorted(command.beta or BETAS, reverse=True)
-    blended = blend_codes(agent, table[first], table[second], betas, command.along)
-    blends = [Shot(f"β = {beta:g}", code) for beta, code in zip(betas, blended, strict=True)]
-    return [Shot(tasks.names[first], table[first]), *blends, Shot(tasks.names[second], table[second])]
+    blended = blend_codes(agent, first.code, second.code, betas, command.along)
+    return [first, *(Shot(f"β = {beta:g}", code) for beta, code in zip(betas, blended, strict=True)), second]
 
 
 def file_name(command: Any, shots: list[Shot]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,14 @@ Returns = list[dict[str, float]]  # of every seed, by task
 
 EVALUATIONS = "evaluation.json"
 LAST_ROWS = "the last row of metrics.jsonl"
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """Returns of the last policies of a run."""
+
+    returns: Returns
+    episodes: int  # of each task
 
 
 def compare(one: Group, other: Group) -> dict[str, Any]:
@@ -32,11 +41,11 @@ def compare(one: Group, other: Group) -> dict[str, Any]:
       RunError: an evaluation cannot be read.
     """
     evaluated = [[_evaluated(run) for run in members.runs] for members in (one, other)]
-    complete = all(returns is not None for runs in evaluated for returns in runs)
-    if complete:
-        both = [[seed for returns in runs for seed in returns or []] for runs in evaluated]
-    else:
-        both = [[rows[-1]["returns"] for rows in members.seeds] for members in (one, other)]
+    complete = all(run is not None for runs in evaluated for run in runs)
+    if not complete:
+        evaluated = [[_last_rows(run) for run in members.runs] for members in (one, other)]
+    both = [[seed for run in runs if run for seed in run.returns] for runs in evaluated]
+    episodes = [_distinct([run.episodes for run in runs if run]) for runs in evaluated]
     tasks = [task for task in both[0][0] if all(task in seed for returns in both for seed in returns)]
     if not tasks:
         raise UsageError(f"{one.name} and {other.name} have no task in common")
@@ -46,7 +55,7 @@ def compare(one: Group, other: Group) -> dict[str, Any]:
         "settings": differences(one, other),
         "returns_from": EVALUATIONS if complete else LAST_ROWS,
         "tasks": tasks,
-        "groups": [_describe(*pair) for pair in ((one, ours), (other, theirs))],
+        "groups": [_describe(*group) for group in zip((one, other), (ours, theirs), episodes, strict=True)],
         "probability_of_improvement": {
             "value": float(probability_of_improvement(ours, theirs)),
             "interval": bootstrap_interval(probability_of_improvement, ours, theirs) if enough else None,
@@ -70,7 +79,7 @@ def mean(scores: np.ndarray) -> np.ndarray:
     return np.asarray(np.mean(scores, axis=(-2, -1)))
 
 
-def _describe(members: Group, scores: np.ndarray) -> dict[str, Any]:
+def _describe(members: Group, scores: np.ndarray, episodes: Any) -> dict[str, Any]:
     several = len(scores) > 1
     last = [rows[-1] for rows in members.seeds]
     return {
@@ -84,6 +93,7 @@ def _describe(members: Group, scores: np.ndarray) -> dict[str, Any]:
             }
             for name, statistic in (("mean", mean), ("interquartile_mean", interquartile_mean))
         },
+        "episodes": episodes,
         "env_steps": _distinct([row["env_steps"] for row in last]),
         "updates": _distinct([row["updates"] for row in last]),
         "minutes": _distinct([round(row["seconds"] / 60, 1) for row in last]),
@@ -97,8 +107,12 @@ def _distinct(values: list[Any]) -> Any:
     return distinct[0] if len(distinct) == 1 else distinct
 
 
-def _evaluated(run: RunRecords) -> Returns | None:
-    """Returns the returns of a run's evaluation, if there is one of its last policies."""
+def _last_rows(run: RunRecords) -> Evaluated:
+    return Evaluated([rows[-1]["returns"] for rows in run.seeds.values()], run.settings["log.episodes"])
+
+
+def _evaluated(run: RunRecords) -> Evaluated | None:
+    """Returns a run's evaluation, if there is one of its last policies."""
     path = run.path / EVALUATIONS
     if not path.is_file():
         return None
@@ -106,6 +120,9 @@ def _evaluated(run: RunRecords) -> Returns | None:
     try:
         seeds = {one["seed"]: {task["name"]: task["return_mean"] for task in one["tasks"]} for one in document["seeds"]}
         current = all(rows[-1]["updates"] == document["updates"] for rows in run.seeds.values())
+        episodes = document["episodes"]
     except (KeyError, TypeError) as error:
         raise RunError(f"{path} cannot be read: {error}") from None
-    return [seeds[seed] for seed in run.seeds] if current and seeds.keys() == run.seeds.keys() else None
+    if not current or seeds.keys() != run.seeds.keys():
+        return None
+    return Evaluated([seeds[seed] for seed in run.seeds], episodes)

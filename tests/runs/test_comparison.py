@@ -19,7 +19,7 @@ def evaluate(run, updates, **returns):
         {"seed": int(seed.removeprefix("seed")), "tasks": [{"name": name, "return_mean": value} for name in ("a", "b")]}
         for seed, value in returns.items()
     ]
-    records.write_json(run / EVALUATIONS, {"updates": updates, "seeds": seeds})
+    records.write_json(run / EVALUATIONS, {"updates": updates, "episodes": 20, "seeds": seeds})
 
 
 @pytest.fixture
@@ -37,6 +37,7 @@ def test_statistics_by_hand(pair):
     first, second = document["groups"]
     assert (first["name"], first["mean"]["value"], first["interquartile_mean"]["value"]) == ("one", 5.25, 5.5)
     assert (second["returns"], second["mean"]["value"]) == ([[2, 1], [0, 2]], 1.25)
+    assert [first["episodes"], second["episodes"]] == [3, 3]
     chance = document["probability_of_improvement"]
     assert chance["value"] == pytest.approx((3 / 4 + 1) / 2)
     assert 0 <= chance["interval"][0] < chance["value"] < chance["interval"][1] <= 1
@@ -50,6 +51,7 @@ def test_evaluations_of_the_last_policies_come_before_metrics(pair):
     document = compare(*two_groups(pair[:1], pair[1:]))
     assert document["returns_from"] == EVALUATIONS
     assert document["groups"][0]["returns"] == [[5, 5], [7, 7]]
+    assert document["groups"][0]["episodes"] == 20
     assert document["probability_of_improvement"]["value"] == pytest.approx(3 / 4)
     evaluate(pair[1], 200, seed0=1.0, seed1=6.0)  # of an earlier policy
     assert compare(*two_groups(pair[:1], pair[1:]))["returns_from"] == LAST_ROWS
