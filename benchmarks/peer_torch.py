@@ -34,7 +34,7 @@ def mlp(inputs: int, width: int, layers: int, outputs: int, layer_norm: bool = F
 
 
 class Policy(nn.Module):
-    """EAR's policy: a decoder of the state embedding and the task embedding, both of unit length."""
+    """EAR's policy: a decoder of the sensory embedding and the task embedding, both of unit length."""
 
     def __init__(self, s: dict[str, Any]):
         super().__init__()

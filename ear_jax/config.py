@@ -46,7 +46,7 @@ class NetworkConfig:
     task_width: int = 400
     """Units in each hidden layer of the task encoder."""
     lse_size: int = 16
-    """Size of the state embedding (LSE)."""
+    """Size of the sensory embedding (LSE)."""
     lte_size: int = 3
     """Size of the task embedding (LTE)."""
     lte_start: Literal["spread", "gathered"] = "spread"

@@ -14,7 +14,7 @@ from ear_jax.process.terminal import phase
 
 @dataclass(frozen=True, kw_only=True)
 class LseCommand(OnRun):
-    """Compare the state embedding (LSE) along a gait with the raw state: principal components and periodicity.
+    """Compare the sensory embedding (LSE) along a gait with the raw state: principal components and periodicity.
 
     Example: ear lse pretrained:halfcheetah-vel --task 2
     """

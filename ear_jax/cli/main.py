@@ -27,7 +27,7 @@ COMMANDS = {
     "map": ("ear_jax.cli.map", "draw what the robot does under LTEs all over their sphere"),
     "front": ("ear_jax.cli.front", "draw what two rewards trade against each other, under LTEs all over the sphere"),
     "explore": ("ear_jax.cli.explore", "make a web page on which you steer the robot by pointing at that sphere"),
-    "lse": ("ear_jax.cli.lse", "compare the state embedding (LSE) along a gait with the raw state"),
+    "lse": ("ear_jax.cli.lse", "compare the sensory embedding (LSE) along a gait with the raw state"),
     "plot": ("ear_jax.cli.plot", "draw the training curves of runs, with seeds as bands"),
     "compare": ("ear_jax.cli.compare", "compare two runs: settings, returns, and how often one beats the other"),
     "log": ("ear_jax.cli.log", "copy a run's metrics to TensorBoard or Weights & Biases"),

@@ -1,4 +1,4 @@
-"""The latent state embedding (LSE) along a gait, compared with the raw observations that it encodes."""
+"""The latent sensory embedding (LSE) along a gait, compared with the raw observations that it encodes."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def record_signals(trained: Trained, task: str, seed: int) -> list[dict[str, Sig
     """Returns for every seed's policy the signals `state` and `lse`; arguments and errors as in `lse`."""
     program, agent = trained.program, trained.program.agent
     if agent.embed is None:
-        raise UsageError(f"agent {program.config.agent} has no latent state embedding")
+        raise UsageError(f"agent {program.config.agent} has no latent sensory embedding")
     embed, row = agent.embed, program.tasks.index(task)
     env, steps = BatchedEnv(program.family), program.family.episode_length
     params = jax.tree.map(lambda leaf: leaf[row : row + 1], program.tasks.params)

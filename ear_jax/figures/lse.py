@@ -1,4 +1,4 @@
-"""The figure of `ear lse`: the raw state and the latent state embedding along one gait, side by side."""
+"""The figure of `ear lse`: the raw state and the latent sensory embedding along one gait, side by side."""
 
 from __future__ import annotations
 

@@ -13,6 +13,10 @@ from experiments.report.blocks import Block, Table
 from experiments.report.formatting import VARIANTS, lack, number, percent, printed
 from experiments.report.run_index import Run, RunIndex
 
+PAPERS_BETA = (
+    "The paper's β of each composition. Move-jumping, backward jumps with a raised hind leg, is what one of its seeds "
+    "did in place of run-jumping."
+)
 RUNNING = 1.0  # m/s backward, from which on a blend runs
 
 
@@ -55,12 +59,10 @@ def _raised(motions: Mapping[Any, Motion], mean: float) -> Raised:
 
 
 def composition(index: RunIndex) -> list[Block]:
-    """Returns table 10: the β that the paper chose by eye, and the outcomes of our blends along β."""
+    """Returns table 10: the β of the paper, and the outcomes of our blends along β."""
     panels = numbers()["table-10"]["panels"]
     chosen = [[name, *(printed(cell) for cell in row)] for name, rows in panels.items() for row in rows]
-    blocks: list[Block] = [
-        Table("The β that the paper chose by eye for each composition.", ("seed", "composition", "β"), chosen)
-    ]
+    blocks: list[Block] = [Table(PAPERS_BETA, ("seed", "composition", "β"), chosen)]
     runs = {variant: index.runs(RUN_JUMP, variant=variant) for variant in ("", BOTH)}
     for variant, several in runs.items():
         for run, analysis in product(several, COMPOSITIONS):

@@ -39,7 +39,7 @@ VARIANTS = {
     "+gathered": ", LTEs gathered at the start",
     "+categorical": ", categorical critics",
     "+equivariant": ", equivariant",
-    "+both": ", trained on tasks of both",
+    "+both": ", trained also on tasks that reward both",
 }
 
 

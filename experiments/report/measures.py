@@ -8,12 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
+from ear_jax.embeddings.interpolate import REACHED
 from ear_jax.envs import FAMILIES
 from ear_jax.runs import safetensors
+from ear_jax.runs.statistics import probability_of_improvement
 from experiments.inventory import POLICY
 from experiments.paper import ANT, CHEETAH, HOPPER, REFINEMENT, WALKER, numbers
-from experiments.report.formatting import MISSING, NAMES, count, seeds, spread
+from experiments.report.formatting import MISSING, NAMES, count, interval, seeds, spread
 from experiments.report.run_index import Run
 
 BLENDED = (CHEETAH, HOPPER, WALKER, ANT)  # in the order of tables 11 to 18
@@ -72,6 +73,14 @@ def shared_tasks(runs: Sequence[Run]) -> list[str]:
 def score_table(runs: Sequence[Run], tasks: Sequence[str]) -> np.ndarray:
     """Gives the returns [seeds, tasks] of runs on tasks that all of them have."""
     return np.array([[task_returns(run)[name] for name in tasks] for run in runs])
+
+
+def chance_of_more(ours: Sequence[Run], theirs: Sequence[Run]) -> str | None:
+    """Formats the probability that a seed of ours returns more on the same task; None if they share no task."""
+    tasks = shared_tasks([*ours, *theirs]) if ours and theirs else []
+    if not tasks:
+        return None
+    return interval(probability_of_improvement, score_table(ours, tasks), score_table(theirs, tasks), digits=2)
 
 
 def successes(runs: Sequence[Run], measure: str, document: str = "interpolation") -> Count | None:
@@ -162,22 +171,36 @@ def paper_counts(family: str, measure: str) -> dict[str, int] | None:
     return row[table["columns"].index(family)]
 
 
-def paper_recount(family: str, measure: str) -> Count:
-    """Counts the same by the rule of `ear interpolate`, from each seed's targets and outcomes in tables 11 to 18."""
+def paper_recount(family: str, measure: str) -> Count | None:
+    """Counts the same from the one blend that tables 11 to 18 list for a pair."""
     table = {"mid_task": 11, "one_to_one": 15}[measure] + BLENDED.index(family)
-    counted = {}
-    for seed, rows in enumerate(numbers()[f"table-{table}"]["panels"].values()):
-        target, outcome, gap = np.array([row[0] for row in rows]), [row[-1] for row in rows], rows[1][0] - rows[0][0]
-        miss = np.abs(difference(family, outcome, target))
-        if measure == "one_to_one":
-            counted[seed] = list(miss < gap / 2)
-        else:
-            inside = [MID_TASK_RANGE[0] < row[1] < MID_TASK_RANGE[1] for row in rows]
-            near = miss <= REACHED * gap + 1e-6  # 1e-6: the paper's two decimals are not exact as floats
-            counted[seed] = list(near & np.array(inside))
-    recounted = _counted(counted)
-    assert recounted
-    return recounted
+    panels = numbers()[f"table-{table}"]["panels"].values()
+    return _counted({seed: _meets(family, measure, rows) for seed, rows in enumerate(panels)})
+
+
+def recount(family: str, runs: Sequence[Run], measure: str) -> Count | None:
+    """Counts ours as `paper_recount` does, from the one blend that our tables 11 to 18 list for a pair."""
+    told = {"mid_task": ("target", "outcome"), "one_to_one": ("target", "one_to_one_outcome")}[measure]
+    listed = {run.seed: sorted([pair[name] for name in told] for pair in _pairs(run)) for run in runs if _pairs(run)}
+    return _counted({seed: _meets(family, measure, rows) for seed, rows in listed.items()})
+
+
+def _pairs(run: Run) -> list[dict[str, Any]]:
+    return run.of_seed("interpolation", "pairs")
+
+
+def _meets(family: str, measure: str, rows: Sequence[Sequence[float]]) -> list[bool]:
+    """Tells for each pair whether the blend listed for it succeeds, whatever its β.
+
+    Args:
+      family: the family's name.
+      measure: `mid_task` or `one_to_one`.
+      rows: of every pair of evenly spaced neighbours, the value midway first and the outcome last.
+    """
+    miss = np.abs(difference(family, [row[-1] for row in rows], [row[0] for row in rows]))
+    gap = rows[1][0] - rows[0][0]
+    near = miss < gap / 2 if measure == "one_to_one" else miss <= REACHED * gap + 1e-6  # decimals are inexact as floats
+    return list(near)
 
 
 def paper_setting(table: str, row: str, family: str) -> Any:

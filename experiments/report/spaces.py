@@ -7,21 +7,23 @@ from typing import Any
 
 import numpy as np
 
+from ear_jax.embeddings.space import TOLERANCE
 from experiments.paper import EAR_VARIANTS, FAMILIES, REACH, RUN_JUMP
 from experiments.report.blocks import Block, Table
 from experiments.report.formatting import NAMES, VARIANTS, number, spread
 from experiments.report.run_index import Run, RunIndex, recorded_runs
+from experiments.space import PLACES
 
 ALL = (*FAMILIES, RUN_JUMP, REACH)
 MEASURES = ("space", "smooth", "lasting", "covered", "ordered")
 READ = (
-    "Smooth: the slope of an ideal space, which spreads the commanded range evenly over half a great circle, as a "
-    "share of the slope that 95 % of neighbouring LTEs stay below, at most 1. Lasting: the share of LTEs whose "
-    "episodes last. Covered: the share of the commanded range that lasting LTEs meet within 1 %. Ordered: the "
-    "rank correlation of the training tasks' distances in target and in angle. Space: the geometric mean of the "
-    "four. Lipschitz: the steepest slope between neighbouring LTEs, in commanded units per radian. Each run was "
-    "played under 300 LTEs spread over the sphere, one episode each. Without normalisation LTEs lie on no sphere; "
-    "they were played on that of their mean length."
+    "Smooth: how evenly the outcome changes over the sphere. It is the slope of an ideal space, the whole commanded "
+    "range over half a great circle, divided by the slope that 95 % of neighbouring LTEs stay below, and at most 1. "
+    "Lasting: the share of LTEs whose episodes last. Covered: the share of the commanded range that lasting LTEs meet "
+    f"within {100 * TOLERANCE:g} %. Ordered: the rank correlation of the training tasks' distances in target and in "
+    "angle. Space: the geometric mean of the four. Lipschitz: the steepest slope between neighbouring LTEs, in "
+    f"commanded units per radian. Each run was played under {PLACES} LTEs spread over the sphere, one episode each. "
+    "Without normalisation LTEs differ in length; LTEs of their mean length were played."
 )
 
 

@@ -63,7 +63,7 @@ def test_a_pattern_that_repeats_only_at_every_other_beat_has_the_longer_period()
 
 def test_an_agent_without_an_lse_is_refused():
     program = SimpleNamespace(agent=SimpleNamespace(embed=None), config=SimpleNamespace(agent="multihead"))
-    with pytest.raises(UsageError, match="agent multihead has no latent state embedding"):
+    with pytest.raises(UsageError, match="agent multihead has no latent sensory embedding"):
         record_signals(SimpleNamespace(program=program), "vel-1", 0)
 
 
