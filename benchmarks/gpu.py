@@ -78,7 +78,7 @@ def measure_update(options: argparse.Namespace, config: Config) -> dict[str, Any
     """Times an epoch's updates of all seeds."""
     program, keys = training.make_program(config), training.seed_keys(config)
     state = filling(program)(keys)
-    learn = over_seeds(partial(training.learn, program), config.seeds, (0,), config.network.matmul, donate_argnums=0)
+    learn = over_seeds(partial(training.learn, program), config.seeds, config.network.matmul, donate_argnums=0)
     began = time.perf_counter()
     learn = learn.lower(state).compile()
     compile_seconds = time.perf_counter() - began

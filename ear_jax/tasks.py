@@ -22,6 +22,11 @@ def task_count(params: TaskParams) -> int:
     return len(jax.tree.leaves(params)[0])
 
 
+def any_task(params: TaskParams, rows: int = 1) -> TaskParams:
+    """Returns the first task for every row, each leaf [rows]: for roll-outs whose rewards are not used."""
+    return {name: jnp.broadcast_to(leaf[0], rows) for name, leaf in params.items()}
+
+
 @dataclass(frozen=True)
 class Task:
     """One task of a family: its name, its commanded value and the numbers its reward reads."""

@@ -25,7 +25,7 @@ from experiments.commands import IN_HAND, RUNS
 from experiments.inventory import POLICY
 from experiments.paper import EVALUATION, REFINED, REFINED_EVALUATION
 from experiments.report.measures import mean_return, refinements
-from experiments.report.run_index import recorded_runs
+from experiments.report.run_index import named, recorded_runs
 
 FILE_BYTES, ALL_BYTES = 2_000_000, 10_000_000  # limits for one file and for all together
 
@@ -128,7 +128,7 @@ def among_seeds(trained: Trained, refined: bool) -> dict[str, Any]:
             config, seed=0, seeds=1, engine="auto", log=LogConfig(), checkpoint=CheckpointConfig()
         )
 
-    ours = method(trained.program.config)
+    ours = method(named(trained.program.config))
     runs = [run for run in recorded_runs() if method(run.config) == ours]
     returns = [entry["after"] for entry in refinements(runs)] if refined else [mean_return(run) for run in runs]
     return {"seeds": len(returns), "mean_of_seeds": sum(returns) / len(returns)} if returns else {}

@@ -7,6 +7,7 @@ The camera does not move, so that the robots visibly draw apart. Needs OpenGL an
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from ear_jax.cli.exits import exit_code
 from ear_jax.embeddings.codes import blend
 from ear_jax.embeddings.trajectory import Trajectory, follow
 from ear_jax.figures.video import caption, write_gif
@@ -85,4 +87,4 @@ def main(path: Path = PICTURE) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("experiments.race", main))

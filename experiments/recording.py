@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from ear_jax.cli.exits import exit_code
 from ear_jax.errors import RunError
 from ear_jax.figures.video import write_gif
 from experiments.browser import Browser, chromium
@@ -81,7 +82,4 @@ def main(page: Path = PAGE, images: Path = IMAGES) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main()
-    except RunError as error:
-        sys.exit(str(error))
+    sys.exit(exit_code("experiments.recording", main))

@@ -12,7 +12,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from ear_jax.cli.exits import exit_code
 from ear_jax.embeddings.map import play_maps, space_of
+from ear_jax.errors import known_name
 from ear_jax.process.environment import start_jax
 from ear_jax.process.terminal import say
 from ear_jax.runs import records
@@ -52,12 +54,15 @@ def wanted() -> list[Path]:
 
 
 def main(names: list[str]) -> None:
+    """Measures the records of these names, by default all that are wanted; raises UsageError for an unknown name."""
+    recorded = [path.parent.name for path in inventory.RECORDS.glob(f"*/{inventory.POLICY}")]
+    chosen = [inventory.RECORDS / known_name("record", name, recorded) for name in names]
     start_jax()
-    for record in [inventory.RECORDS / name for name in names] or wanted():
+    for record in chosen or wanted():
         document = measure(record)
         records.write_json(record / NAME, {**document, **records.provenance()})
         say(f"{record.name}: {document['seeds']}")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    sys.exit(exit_code("experiments.space", lambda: main(sys.argv[1:])))

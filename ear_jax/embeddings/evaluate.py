@@ -17,11 +17,12 @@ from ear_jax.runs import training
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
 from ear_jax.runs.training import Program, evaluation_keys
+from ear_jax.tasks import any_task
 
 
 def play_codes(program: Program, policy: Params, codes: jax.Array, key: jax.Array, episodes: int) -> Episodes:
     """Plays one policy under any codes [rows, code], for the outcomes; the returns belong to no task in particular."""
-    tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], len(codes)), program.tasks.params)
+    tasks = any_task(program.tasks.params, len(codes))
     return play(program.family, program.agent, policy, codes, tasks, key, episodes)
 
 

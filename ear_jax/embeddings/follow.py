@@ -28,6 +28,7 @@ from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
+from ear_jax.tasks import any_task
 
 CHOICES = 4000  # codes that a look-up chooses from
 NEAR = 0.02  # of the range of what is followed: a look-up gives up so much for an LTE one radian nearer to the last
@@ -143,7 +144,7 @@ def search_spline(play: Play, begin: np.ndarray, steps: int, plan: Plan, seed: i
         noise = rng.standard_normal((len(begin), plan.candidates - 1, *begin.shape[1:]))
         knots = _on_sphere(np.concatenate([mean[:, None], mean[:, None] + deviation[:, None] * noise], axis=1))
         costs = play(spline(knots, steps), np.arange(plan.starts))["costs"].mean(axis=-1)  # [seeds, candidates]
-        order = np.argsort(np.where(np.isfinite(costs), costs, np.inf), axis=1)[:, :ELITES]
+        order = np.argsort(costs, axis=1)[:, :ELITES]
         elites = np.take_along_axis(knots, order[..., None, None], axis=1)
         lowest = np.take_along_axis(costs, order[:, :1], axis=1)[:, 0]
         best = np.where((lowest < least)[:, None, None], elites[:, 0], best)
@@ -167,7 +168,7 @@ def _player(trained: Trained, survey: Survey, course: Course, width: int, starts
     program, family = trained.program, trained.program.family
     seeds, steps = program.config.seeds, len(course.wanted)
     rings = np.stack([ring_of(survey, index, course) for index in range(seeds)]) if course.is_path else np.zeros(seeds)
-    env, task = PoseEnv(family, resets=False), jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
+    env, task = PoseEnv(family, resets=False), any_task(program.tasks.params)
     keys = jax.random.split(jax.random.key(seed), seeds)
 
     def of_seed(policy: Params, key: jax.Array, ring: jax.Array, codes: jax.Array, index: jax.Array) -> dict[str, Any]:

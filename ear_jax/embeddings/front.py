@@ -65,7 +65,7 @@ def _late_means(rewards: Sequence[Reward], outcomes: dict[str, np.ndarray], leng
 
 
 def pareto_front(values: np.ndarray) -> np.ndarray:
-    """Returns the rows of values [n, 2] that no other row beats in both columns, from the highest in the first on."""
+    """Returns the rows of values [n, 2] that no other matches or beats in both, from the highest in the first on."""
     order = np.lexsort((-values[:, 1], -values[:, 0]))
     highest = np.maximum.accumulate(values[order, 1])
     return order[np.concatenate([[True], values[order, 1][1:] > highest[:-1]])]

@@ -29,6 +29,7 @@ from ear_jax.process.terminal import say
 from ear_jax.runs.replayed import read_replay
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
+from ear_jax.tasks import any_task
 
 FILE = "imagined.safetensors"
 FORMAT = "ear_jax imagined sphere 2"
@@ -88,7 +89,7 @@ def imagine(trained: Trained, config: MeasureConfig, seed: int) -> dict[str, Any
     def of_seed(policy: Params, key: jax.Array, items: Experience, cell: jax.Array) -> tuple[jax.Array, ...]:
         key_learn, key_start, key_states = jax.random.split(key, 3)
         params, losses = learn_measure(measure, policy, items, cell, key_learn)
-        task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
+        task = any_task(program.tasks.params)
         starts = BatchedEnv(program.family).start(key_start, task, STARTS).state.obs[0]
         states = jax.random.categorical(key_states, jnp.where(items.terminated, -jnp.inf, 0.0), shape=(STATES,))
 

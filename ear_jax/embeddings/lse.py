@@ -62,7 +62,7 @@ def record_signals(trained: Trained, task: str, seed: int) -> list[dict[str, Sig
     params = jax.tree.map(lambda leaf: leaf[row : row + 1], program.tasks.params)
 
     def record(transition: Transition) -> tuple[jax.Array, jax.Array]:
-        return transition.obs[0, 0], (transition.terminated | ~transition.valid)[0, 0]
+        return transition.obs[0, 0], transition.failed[0, 0]
 
     def of_seed(policy: Params, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         act = act_with(agent, policy, agent.codes(policy)[row : row + 1])

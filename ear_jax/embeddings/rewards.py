@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,9 +22,10 @@ from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import record_from, starts
 from ear_jax.process.runtime import compiler_options
+from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import evaluation_keys
-from ear_jax.tasks import TaskSet
+from ear_jax.tasks import TaskSet, any_task
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,10 @@ def _describe(
     returns: np.ndarray,
     late: dict[str, np.ndarray],
 ) -> list[dict[str, Any]]:
-    """Returns a document for each seed and reward; the answer that returned most when played again gives its LTE."""
+    """Returns a document for each seed and reward; the answer that returned most when played again gives its LTE.
+
+    That return is the highest of those of all ways in the same episodes, so chance flatters it a little.
+    """
     program, ways = trained.program, list(answers)
 
     def answer(way: str, index: int, row: int) -> dict[str, Any]:
@@ -151,9 +156,11 @@ def _play_again(
 
     Raises:
       UsageError: a reward is not finite in these episodes.
+      RunError: the episodes do not fit in memory.
     """
     program, steps = trained.program, trained.program.family.episode_length
-    tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], len(rewards)), program.tasks.params)
+    check_rollouts(program, math.prod(codes.shape[:3]) * episodes, steps, len(program.family.outcome_shapes))
+    tasks = any_task(program.tasks.params, len(rewards))
     still = jnp.zeros((steps, len(rewards), episodes, program.family.action_size))
     keys = evaluation_keys(jax.random.split(jax.random.key(seed), len(codes)), 0)
 

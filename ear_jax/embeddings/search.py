@@ -136,7 +136,7 @@ def infer_codes(
     env = BatchedEnv(family)
 
     def record(step: Transition) -> tuple[jax.Array, ...]:
-        kept = (step.obs, step.action, step.outcome, step.terminated | ~step.valid, step.valid)
+        kept = (step.obs, step.action, step.outcome, step.failed, step.valid)
         return jax.tree.map(lambda leaf: leaf[:, 0], kept)  # [tasks, …]
 
     def trial(context: Context, index_and_key: tuple[jax.Array, jax.Array]) -> tuple[Context, Progress]:

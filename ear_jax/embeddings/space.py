@@ -78,11 +78,11 @@ def _covered(family: Family, achieved: np.ndarray, low: float, high: float) -> f
 
 
 def _ordered(family: Family, codes: np.ndarray, goals: np.ndarray) -> float:
-    """Returns the rank correlation of distances in target and in angle over all pairs of tasks."""
+    """Returns the rank correlation of distances in target and in angle over all pairs of tasks, 0 if all are equal."""
     one, other = np.triu_indices(len(goals), 1)
     apart = np.abs(family.difference(goals[one], goals[other]))
     ranks = [_ranks(np.round(values, 6)) for values in (apart, _angles(codes, codes)[one, other])]
-    return float(np.corrcoef(np.stack(ranks))[0, 1])
+    return float(np.corrcoef(np.stack(ranks))[0, 1]) if all(map(np.ptp, ranks)) else 0.0
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:

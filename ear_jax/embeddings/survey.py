@@ -23,6 +23,7 @@ from ear_jax.learning.episodes import record_from, starts
 from ear_jax.process.terminal import say
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained, for_each_seed
+from ear_jax.tasks import any_task
 
 PLACES = 2000  # codes played, 0.08 radians apart on a sphere in three dimensions
 FORMAT = "ear_jax survey 1"
@@ -103,7 +104,7 @@ def record_codes(trained: Trained, codes: np.ndarray, seed: int) -> tuple[dict[s
     program, places = trained.program, codes.shape[1]
     family, agent, steps = program.family, program.agent, program.family.episode_length
     check_rollouts(program, program.config.seeds * places, steps, len(family.outcome_shapes))
-    tasks = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[0], places), program.tasks.params)
+    tasks = any_task(program.tasks.params, places)
 
     def of_seed(policy: Params, key: jax.Array, codes: jax.Array) -> tuple[Outcome, jax.Array]:
         begun, still = starts(family, tasks, key, 1), jnp.zeros((steps, places, 1, family.action_size))

@@ -14,6 +14,7 @@ from ear_jax.learning.rollout import act_with, rollout
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.training import Program
+from ear_jax.tasks import any_task
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,9 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
     """
     family, env = program.family, PoseEnv(program.family)
     check_rollouts(program, len(codes), steps + 1, family.model.nq)
-    # One more step, for the pose before it. Rewards are not used, so that any task will do.
+    # One more step, for the pose before it.
     still = jnp.zeros((steps + 1, len(codes), 1, family.action_size))
-    task = jax.tree.map(lambda leaf: leaf[:1], program.tasks.params)
+    task = any_task(program.tasks.params)
 
     def play(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), env.start(key, task, 1))
@@ -70,7 +71,7 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
 
 def outcome_and_over(step: Transition) -> tuple[dict[str, jax.Array], jax.Array]:
     """Selects from steps what `until_over` needs."""
-    return step.outcome, step.terminated | ~step.valid
+    return step.outcome, step.failed
 
 
 def until_over(program: Program, outcomes: dict[str, np.ndarray], over: np.ndarray) -> Trajectory:
@@ -85,7 +86,7 @@ def until_over(program: Program, outcomes: dict[str, np.ndarray], over: np.ndarr
     last = int(over.argmax()) if fell else len(over) - 1
     qpos = outcomes["qpos"][: last + 1]
     outcomes = {name: values[: max(last, 1)] for name, values in outcomes.items() if name != "qpos"}
-    # The means of an evaluation: over the second half of the episode, and over all of it.
+    # The means of an evaluation, but for the step that failed: over the second half of the episode, and over all of it.
     late = {name: values[len(values) // 2 :].mean() for name, values in outcomes.items()}
     whole = {name: values.mean() for name, values in outcomes.items()}
     return Trajectory(qpos, fell, outcomes, float(program.family.achieved(late, whole)))

@@ -35,6 +35,11 @@ class Transition:
     truncated: jax.Array  # bool: only the time limit was reached, which is not a termination
     valid: jax.Array  # bool: all numbers are finite; otherwise the step must not be learnt from
 
+    @property
+    def failed(self) -> jax.Array:
+        """True where the step ends an episode before its time, by the robot's failure or by the simulation's."""
+        return self.terminated | ~self.valid
+
 
 @dataclass(frozen=True)
 class BatchedEnv:

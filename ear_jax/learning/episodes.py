@@ -91,11 +91,11 @@ def record_from(
     """
 
     def record(transition: Transition) -> tuple[Outcome, jax.Array, jax.Array]:
-        return transition.outcome, transition.terminated, transition.valid
+        return transition.outcome, transition.failed, transition.valid
 
     act = act_with(agent, policy, codes)
     _, (outcome, failed, valid) = rollout(BatchedEnv(family, resets=False), act, env_states, noise, record)
-    return outcome, first_episode(failed | ~valid) & valid
+    return outcome, first_episode(failed) & valid
 
 
 def achieved(family: Family, played: Episodes) -> jax.Array:

@@ -223,8 +223,7 @@ class MamlLearner:
 
 
 def _record(transition: Transition) -> tuple[jax.Array, Any, jax.Array, jax.Array]:
-    ended = transition.terminated | transition.truncated | ~transition.valid
-    return transition.obs, transition.outcome, ended, transition.valid
+    return transition.obs, transition.outcome, transition.failed | transition.truncated, transition.valid
 
 
 def _log_density(distribution: Gaussian, raw: jax.Array) -> jax.Array:

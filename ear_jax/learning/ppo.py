@@ -230,7 +230,7 @@ def followed(lr: jax.Array, moved: jax.Array, wanted: jax.Array) -> jax.Array:
 
 
 def _record(step: Transition) -> tuple[jax.Array, Outcome, jax.Array, jax.Array]:
-    return step.obs, step.outcome, step.terminated | ~step.valid, step.valid
+    return step.obs, step.outcome, step.failed, step.valid
 
 
 def batches(items: int, size: int) -> tuple[int, int]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import numpy as np
@@ -48,30 +49,30 @@ def compile_program(program: Program, keys: jax.Array, numbers: Mapping[str, np.
     """
     members, spread_numbers = len(keys), {name: spread(values) for name, values in (numbers or {}).items()}
 
-    def init(numbers: training.Numbers, key: jax.Array) -> TrainState:
-        return training.init(training.with_numbers(program, numbers), key)
+    def of_members(function: Callable[..., Any], matmul: str = "float32", **options: Any) -> Any:
+        return over_seeds(given_numbers(program, function), members, matmul, **options)
 
-    def collect(numbers: training.Numbers, state: TrainState) -> tuple[TrainState, training.Metrics]:
-        return training.collect(training.with_numbers(program, numbers), state)
-
-    def learn(numbers: training.Numbers, state: TrainState) -> tuple[TrainState, training.Metrics]:
-        return training.learn(training.with_numbers(program, numbers), state)
-
-    def evaluate(policy: Params, key: jax.Array) -> Episodes:
-        return training.evaluate(program, policy, key, program.config.log.episodes)
-
-    axes, matmul = (0, 0), program.config.network.matmul
-    start, play = over_seeds(init, members, axes), over_seeds(evaluate, members, axes)
-    state = jax.eval_shape(start, spread_numbers, keys)
+    start, play = of_members(training.init), over_seeds(partial(evaluate, program), members)
+    state, in_turn = jax.eval_shape(start, spread_numbers, keys), not on_accelerator()
     jitted = (
-        (over_seeds(collect, members, axes, donate_argnums=1), state),
-        (over_seeds(learn, members, axes, matmul, in_turn=not on_accelerator(), donate_argnums=1), state),
+        (of_members(training.collect, donate_argnums=1), state),
+        (of_members(training.learn, program.config.network.matmul, in_turn=in_turn, donate_argnums=1), state),
         (start, keys),
     )
     with ThreadPoolExecutor() as pool:
         jobs = [pool.submit(function.lower(spread_numbers, argument).compile) for function, argument in jitted]
         collecting, learning, starting = (partial(job.result(), spread_numbers) for job in jobs)
     return Compiled(starting, collecting, learning, play, state)
+
+
+def given_numbers(program: Program, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns a function of a program and arguments as one of a member's numbers and the same arguments."""
+    return lambda numbers, *arguments: function(training.with_numbers(program, numbers), *arguments)
+
+
+def evaluate(program: Program, policy: Params, key: jax.Array) -> Episodes:
+    """Plays as many episodes of each task as the log has."""
+    return training.evaluate(program, policy, key, program.config.log.episodes)
 
 
 def fill_replay(compiled: Compiled, state: TrainState, epochs: int) -> TrainState:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ear_jax.config import flat, from_dict
-from ear_jax.errors import RunError, UsageError, unknown
+from ear_jax.errors import UsageError, unknown
 from ear_jax.runs import records
 
 Rows = list[dict[str, Any]]
@@ -58,13 +58,10 @@ def read(path: Path) -> RunRecords:
       RunError: its records cannot be read.
     """
     document = records.read_run(path)
-    rows = records.read_rows(path / "metrics.jsonl")
+    rows = records.read_rows(path / "metrics.jsonl", required=records.METRICS)
     if not rows:
         raise UsageError(f"{path} has no row of metrics yet")
-    try:
-        seeds = {seed: [row for row in rows if row["seed"] == seed] for seed in sorted({row["seed"] for row in rows})}
-    except (KeyError, TypeError) as error:
-        raise RunError(f"{path / 'metrics.jsonl'} cannot be read: a row lacks {error}") from None
+    seeds = {seed: [row for row in rows if row["seed"] == seed] for seed in sorted({row["seed"] for row in rows})}
     return RunRecords(path, flat(from_dict(document["config"])), seeds)
 
 

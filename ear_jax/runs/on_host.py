@@ -19,13 +19,12 @@ from flax import struct
 from ear_jax.agents.networks import Params
 from ear_jax.envs.batched_env import EnvState, Transition
 from ear_jax.errors import UsageError
-from ear_jax.learning.episodes import Episodes
 from ear_jax.learning.sac import SacLearner
 from ear_jax.process import hosts
 from ear_jax.process.runtime import compiler_options
 from ear_jax.process.target import on_accelerator, tracing_for
 from ear_jax.runs import training
-from ear_jax.runs.compiled import Compiled, compile_program
+from ear_jax.runs.compiled import Compiled, compile_program, evaluate, given_numbers
 from ear_jax.runs.seeds import over_seeds, seed_sharding
 from ear_jax.runs.training import Metrics, Program, TrainState
 
@@ -148,18 +147,17 @@ def compile_on_host(program: Program, keys: jax.Array, numbers: Mapping[str, np.
     """Compiles a run as `compile_program` does, with environments on the host."""
     members, given = len(keys), dict(numbers or {})
 
-    def of_members(function: Callable[..., Any], arguments: int, matmul: str = "float32", **options: Any) -> Any:
-        axes = (0,) * (1 + arguments)
-        return over_seeds(_with_numbers(program, function), members, axes, matmul, **options)
+    def of_members(function: Callable[..., Any], matmul: str = "float32", **options: Any) -> Any:
+        return over_seeds(given_numbers(program, function), members, matmul, **options)
 
-    start = of_members(training.init, 1)
+    start = of_members(training.init)
     state = jax.eval_shape(start, given, keys)
     held = _without_cells(state)
-    planning, exploring, playing = of_members(plan, 1), _OnHost(program, explore), _OnHost(program, _evaluate)
+    planning, exploring, playing = of_members(plan), _OnHost(program, explore), _OnHost(program, evaluate)
     planned = jax.eval_shape(planning, given, held)[1]
     transitions = exploring.shapes(given, planned, state.cells)[1]
-    storing = of_members(store, 2, donate_argnums=1)
-    learning = of_members(training.learn, 1, program.config.network.matmul, donate_argnums=1)
+    storing = of_members(store, donate_argnums=1)
+    learning = of_members(training.learn, program.config.network.matmul, donate_argnums=1)
     with ThreadPoolExecutor() as pool:
         roll = pool.submit(exploring.compile, given, planned, state.cells)
         on_device = ((learning, (held,)), (planning, (held,)), (storing, (held, transitions)), (start, (keys,)))
@@ -170,21 +168,13 @@ def compile_on_host(program: Program, keys: jax.Array, numbers: Mapping[str, np.
     return Compiled(init, parts.collect, parts.update, partial(playing, given), state, both)
 
 
-def _with_numbers(program: Program, function: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda numbers, *arguments: function(training.with_numbers(program, numbers), *arguments)
-
-
-def _evaluate(program: Program, policy: Params, key: jax.Array) -> Episodes:
-    return training.evaluate(program, policy, key, program.config.log.episodes)
-
-
 class _OnHost:
     """A function of one member, traced and compiled for the processor and all members."""
 
     def __init__(self, program: Program, function: Callable[..., Any]):
         with tracing_for("cpu"):
             options = compiler_options()
-        self._jitted = jax.jit(jax.vmap(_with_numbers(program, function)), compiler_options=options)
+        self._jitted = jax.jit(jax.vmap(given_numbers(program, function)), compiler_options=options)
 
     def shapes(self, *arguments: Any) -> Any:
         with tracing_for("cpu"):

@@ -42,15 +42,15 @@ class Job:
 def run_jobs(jobs: Sequence[Job], logs: Path, cores: int) -> dict[str, str]:
     """Carries out jobs on the cluster, and shows their progress until all have ended.
 
-    Returns:
-      By the name of each job that failed, the last line that it said.
-
     A stop signal stops all of them, each after its block, so that nothing runs on.
 
     Args:
       jobs: at least one.
       logs: the directory of what the commands say, a file for each job.
       cores: of each job, where the cluster has no GPUs; else a job has one GPU.
+
+    Returns:
+      By the name of each job that failed, the last line that it said.
 
     Raises:
       RunError: Ray is not installed or cannot be reached.
@@ -134,13 +134,13 @@ def _carry_out(
     os.chdir(where["directory"])
     until = time.monotonic() + patience
     while os.path.exists(where["lock"]) and time.monotonic() < until:  # a node that died may still hold it
-        with open(where["lock"], "rb") as lock:
+        with open(where["lock"], "r+b") as lock:  # NFS locks only what is open for writing
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
-            except OSError:
+            except BlockingIOError:
                 time.sleep(0.5)
-    environment = {**os.environ, **variables, "EAR_JAX_PARENT": str(os.getpid())}
+    environment = {**os.environ, **variables, PARENT: str(os.getpid())}
     code: int | None = -signal.SIGKILL
     for _ in range(3):
         with open(where["log"], "ab") as log:

@@ -32,6 +32,7 @@ from ear_jax.tasks import task_count
 
 BLOCK = 10  # iterations between lines of progress and saves
 WARM_UP = 10  # iterations in which only the value learns; a tenth of fewer than 100
+RETURNS = "returns"  # the name, in a saved file, of those of each iteration
 LAST = 0.1  # the last iteration's share of the divergence
 
 
@@ -180,7 +181,8 @@ def _player(trained: Trained, keys: jax.Array, episodes: int) -> Callable[[Param
 def _write(part: Path, about: dict[str, Any], state: PpoState, course: Course) -> None:
     """Saves what has been reached."""
     arrays = {name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
-    metadata = {"refinement": json.dumps(about), "course": json.dumps(asdict(course))}
+    arrays[RETURNS] = np.array(course.returns, np.float32).reshape(course.iteration, -1)
+    metadata = {"refinement": json.dumps(about), "course": json.dumps(asdict(replace(course, returns=())))}
     safetensors.write(part, arrays, {**metadata, "sha256": safetensors.digest(arrays, metadata)})
 
 
@@ -190,15 +192,17 @@ def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, 
         arrays, metadata = safetensors.read(part)
         if metadata.pop("sha256", None) != safetensors.digest(arrays, metadata):
             raise RunError(f"{part} is damaged")
+        if not (RETURNS in arrays and {"refinement", "course"} <= metadata.keys()):
+            raise RunError(f"{part} holds no refinement of this version")
     except RunError as error:
         raise RunError(f"{error}; delete it to begin anew") from None
+    returns = arrays.pop(RETURNS).tolist()
     found, wanted = (flat_tree(one) for one in (json.loads(metadata["refinement"]), json.loads(json.dumps(about))))
     changed = [f"{name} was {found.get(name)}, is {wanted[name]}" for name in wanted if found.get(name) != wanted[name]]
     if changed or first_difference(layout(named_leaves(like)), layout(arrays)):
         reason = "; ".join(changed) or "the policy has other sizes"
         raise UsageError(f"{part} is of another refinement ({reason}); give the same settings, or name another file")
-    course = json.loads(metadata["course"])
-    return rebuild(like, arrays), Course(**{**course, "returns": tuple(course["returns"])})
+    return rebuild(like, arrays), Course(**{**json.loads(metadata["course"]), "returns": tuple(returns)})
 
 
 def _cost(learner: PpoLearner, settings: Refinement) -> dict[str, int]:

@@ -25,7 +25,7 @@ HEADER_LIMIT = 1_000_000  # bytes; a parsed header takes up to thirty times as m
 
 
 def write(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str, str]) -> None:
-    """Writes a file atomically; raises RunError if it cannot be written."""
+    """Writes a file atomically; raises RunError if it cannot be written, or not be read because of its metadata."""
     header: dict[str, object] = {"__metadata__": metadata}
     end = 0
     for name, array in arrays.items():
@@ -33,6 +33,8 @@ def write(path: Path, arrays: dict[str, np.ndarray], metadata: dict[str, str]) -
         header[name] = {"dtype": NAMES[array.dtype], "shape": list(array.shape), "data_offsets": [begin, end]}
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 8)  # aligns the arrays
+    if len(text) > HEADER_LIMIT:
+        raise RunError(f"{path} would have metadata of {len(text):,} bytes; at most {HEADER_LIMIT:,} can be read")
     with replace_file(path) as scratch, scratch.open("wb") as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for array in arrays.values():

@@ -67,7 +67,6 @@ def _first(shard: jax.Shard) -> int:
 def over_seeds(
     function: Callable[..., Any],
     seeds: int,
-    in_axes: tuple[int | None, ...],
     matmul: str = "float32",
     in_turn: bool = False,
     **options: Any,
@@ -78,29 +77,26 @@ def over_seeds(
     device.
 
     Args:
-      function: for one seed; its results get a leading axis [seeds].
+      function: for one seed; its arguments and results get a leading axis [seeds].
       seeds: the number of seeds.
-      in_axes: for each argument 0 if it has an axis [seeds], else None.
       matmul: the precision of most of its matmuls, as in `network.matmul`.
-      in_turn: a device computes its seeds one after the other, not as one batch; every axis is then 0. A CPU's caches
-        hold the networks of one or two seeds, so that eight at once cost more than eight in turn.
+      in_turn: a device computes its seeds one after the other, not as one batch. A CPU's caches hold the networks of
+        one or two seeds, so that eight at once cost more than eight in turn.
       options: further options of `jax.jit`.
     """
-    mapped = partial(_one_by_one, function) if in_turn and seeds > 1 else jax.vmap(function, in_axes)
+    mapped = partial(_one_by_one, function) if in_turn and seeds > 1 else jax.vmap(function)
     sharding = seed_sharding(seeds)
     options["compiler_options"] = compiler_options(matmul)
     if sharding.num_devices == 1:
         return jax.jit(mapped, **options)
-    replicated = NamedSharding(sharding.mesh, PartitionSpec())
-    in_shardings = tuple(replicated if axis is None else sharding for axis in in_axes)
     sharded = jax.shard_map(
         mapped,
         mesh=sharding.mesh,
-        in_specs=tuple(argument.spec for argument in in_shardings),
+        in_specs=sharding.spec,
         out_specs=sharding.spec,
         check_vma=False,  # not supported for the native engine's callbacks
     )
-    return jax.jit(sharded, in_shardings=in_shardings, out_shardings=sharding, **options)
+    return jax.jit(sharded, in_shardings=sharding, out_shardings=sharding, **options)
 
 
 def _one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:

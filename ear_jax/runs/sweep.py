@@ -80,7 +80,7 @@ def _plan(trial: dict[str, Any]) -> dict[str, Any]:
 
 def _trial(run: Path) -> dict[str, Any]:
     """Returns the results of one trial's run."""
-    rows = records.read_rows(run / "metrics.jsonl")
+    rows = records.read_rows(run / "metrics.jsonl", required=records.METRICS)
     epochs = sorted({row["epoch"] for row in rows})
     blocks = [[row for row in rows if row["epoch"] == epoch] for epoch in epochs]
     curve = [

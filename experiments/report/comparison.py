@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from ear_jax.embeddings.interpolate import REACHED
+from ear_jax.embeddings.interpolate import FRESH, REACHED
 from ear_jax.envs.halfcheetah_vel import HalfCheetahVel
 from experiments.paper import (
     ANT,
@@ -128,7 +128,7 @@ def _blended(family: str, name: str, runs: list[Run]) -> Iterator[Verdict]:
         if counted and theirs:
             numbers_of_both = f"{counted} pairs ({seeds(counted.seeds)}); the paper {printed(theirs)}."
             again = successes(runs, "fresh", analysis.name) if measure == "mid_task" else None
-            caveat = f" In 10 fresh episodes the best of these blends meets it in {again}." if again else ""
+            caveat = f" In {FRESH} fresh episodes the best of these blends meets it in {again}." if again else ""
             yield as_often(counted, theirs), f"{name}, {words}{when}: {numbers_of_both}{caveat}"
 
 

@@ -49,14 +49,16 @@ def _paper(family: str, method: str) -> dict[str, float] | None:
 
 def _verdicts(index: RunIndex) -> Table:
     returns = {family: _returns(index, family) for family in FAMILIES}
-    rows = [
-        [method, *(_of_returns(returns[family][method], _paper(family, method)) for family in FAMILIES)]
+    returned = {
+        method: [_of_returns(returns[family][method], _paper(family, method)) for family in FAMILIES]
         for method in returns[FAMILIES[0]]
-    ]
-    rows[2:2] = [
-        [name, *(_of_blends(_runs(index, family, "ear"), family, measure) for family in FAMILIES)]
+    }
+    blended = {
+        name: [_of_blends(_runs(index, family, "ear"), family, measure) for family in FAMILIES]
         for name, measure in BLENDS.items()
-    ]
+    }
+    ear = [NAMES["ear"], REFINED["ear"]]
+    rows = [[name, *cells] for name, cells in ({name: returned[name] for name in ear} | blended | returned).items()]
     caption = (
         "✓: level with the paper or above it, ✗: short of it. Ours / the paper's. In brackets: our seeds; the paper "
         "has 3. Returns are means over the training tasks. Blends: pairs of neighbouring tasks for which some blend "

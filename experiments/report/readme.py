@@ -10,7 +10,8 @@ import numpy as np
 
 from ear_jax import pretrained
 from ear_jax.cli.interpolate import InterpolateCommand
-from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
+from ear_jax.cli.refine import RefineCommand
+from ear_jax.embeddings.interpolate import FRESH, MID_TASK_RANGE, REACHED
 from ear_jax.embeddings.map import PLACES
 from experiments.paper import (
     ADAPTATION,
@@ -80,11 +81,10 @@ def headline(index: RunIndex) -> str:
     steps = float(np.mean([run.last["env_steps"] for run in runs])) / paper_budget(CHEETAH)[0]
     return (
         f"**HalfCheetah-Vel: for {again} pairs of neighbouring trained speeds, a blend runs at the speed midway**, to "
-        f"within {number(REACHED, 2)} {unit(CHEETAH)} in the mean of 10 fresh episodes; over all pairs the mean error "
-        f"is {number(error, 2)} {unit(CHEETAH)}. Counted on the {PLAYED} by which the blend was chosen: {met} (the "
-        f"paper: {printed(theirs)}). On the trained speeds the policy returns "
-        f"{returns(runs)}, {level} the paper's {printed(paper)}, after {percent(steps, 0)} of the paper's env "
-        f"steps{_time(runs)}.{_refined(runs)}"
+        f"within {number(REACHED, 2)} {unit(CHEETAH)} in the mean of {FRESH} fresh episodes; over all pairs the mean "
+        f"error is {number(error, 2)} {unit(CHEETAH)}. Counted on the {PLAYED} by which the blend was chosen: {met} "
+        f"(the paper: {printed(theirs)}). On the trained speeds the policy returns {returns(runs)}, {level} the "
+        f"paper's {printed(paper)}, after {percent(steps, 0)} of the paper's env steps{_time(runs)}.{_refined(runs)}"
     )
 
 
@@ -119,15 +119,15 @@ RETURN = (
     "over seeds."
 )
 REFINED = (
-    "*Refined*: the return from 20 fresh episodes a task after `ear refine` with [each family's "
+    f"*Refined*: the return from {RefineCommand.episodes} fresh episodes a task after `ear refine` with [each family's "
     "options](docs/refining.md#what-it-gives), which plays more env steps. If only some seeds were refined: the return "
     "of those seeds, before → after."
 )
 BLENDS = (
     "*Again*: pairs of neighbouring tasks for which the blend that came nearest to the value midway, whatever its β, "
-    f"meets it in the mean of 10 fresh episodes, to within {100 * REACHED:g} % of the distance between the two tasks. "
-    f"*Midway*: pairs for which some blend with β from {MID_TASK_RANGE[0]:g} to {MID_TASK_RANGE[1]:g} does so in the "
-    f"mean of {PLAYED}. *Between*: pairs whose half-and-half blend lies between the two. In brackets: the paper."
+    f"meets it in the mean of {FRESH} fresh episodes, to within {100 * REACHED:g} % of the distance between the two "
+    f"tasks. *Midway*: pairs for which some blend with β from {MID_TASK_RANGE[0]:g} to {MID_TASK_RANGE[1]:g} does so "
+    f"in the mean of {PLAYED}. *Between*: pairs whose half-and-half blend lies between the two. In brackets: the paper."
 )
 FROM_A_MAP = (
     f"*Error from a map*: the mean error on tasks never trained on, when their LTEs are read off one map of {PLACES} "
@@ -217,7 +217,10 @@ def _successes(family: str, runs: list[Run], measure: str, refined: bool = False
 def _error_from_map(family: str, runs: list[Run]) -> str:
     tasks = [task for run in runs for task in run.of_seed(ADAPTATION.name, "tasks")]
     errors = [task["zero_shot"]["error"] for task in tasks if task.get("zero_shot")]
-    return f"{number(float(np.mean(errors)), 2)} {unit(family)}" if errors else MISSING
+    if not errors:
+        return MISSING
+    some = f" ({len(errors)} of {len(tasks)} tasks)" if len(errors) < len(tasks) else ""
+    return f"{number(float(np.mean(errors)), 2)} {unit(family)}{some}"
 
 
 def _budget(runs: dict[str, list[Run]]) -> str:

@@ -57,7 +57,7 @@ class Run:
                 name: keep(value, known[name]) if isinstance(value, dict) else value for name, value in kept.items()
             }
 
-        return _named(from_dict(keep(self.about["config"], known)))
+        return named(from_dict(keep(self.about["config"], known)))
 
     @property
     def variant(self) -> str:
@@ -81,10 +81,15 @@ class Run:
         Raises:
           RunError: the file is not a JSON document.
         """
-        path = self.directory / f"{name}.json"
-        if not path.is_file():
-            return None
-        return records.read_json(path)
+        if name not in self._read:
+            path = self.directory / f"{name}.json"
+            self._read[name] = records.read_json(path) if path.is_file() else None
+        return self._read[name]
+
+    @cached_property
+    def _read(self) -> dict[str, dict[str, Any] | None]:
+        """Analyses that have been read, by name."""
+        return {}
 
     def of_seed(self, name: str, key: str) -> list[dict[str, Any]]:
         """Returns the entries of an analysis under a key that belong to this seed; empty without the analysis."""
@@ -138,7 +143,7 @@ def _changes(config: Config) -> dict[str, Any]:
     }
 
 
-def _named(config: Config) -> Config:
+def named(config: Config) -> Config:
     """Returns the settings under the name of the variant that they equal, or unchanged."""
     for variant in VARIANTS if _changes(config) else ():
         with contextlib.suppress(UsageError):  # the agent does not read what the variant sets

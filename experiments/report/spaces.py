@@ -38,10 +38,11 @@ def spaces(index: RunIndex) -> list[Block]:
                 means = [spread([space[measure] for space in measured], 2) for measure in MEASURES]
                 steepest = spread([space["lipschitz"] for space in measured], 1)
                 rows.append([name, str(len(measured)), *means, steepest])
+    recorded = recorded_runs()
     each = [
         [f"{run.name}, seed {run.seed}", *(number(space[measure], 2) for measure in (*MEASURES, "lipschitz"))]
         for family in ALL
-        for run in recorded_runs()
+        for run in recorded
         if run.config.family == family and (space := _space(run))
     ]
     if not rows:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ear_jax.cli.interpolate import InterpolateCommand
+from ear_jax.cli.refine import RefineCommand
 from ear_jax.config import env_flags
-from ear_jax.embeddings.interpolate import MID_TASK_RANGE, REACHED
+from ear_jax.embeddings.interpolate import FRESH, MID_TASK_RANGE, REACHED
 from ear_jax.envs import Family
 from ear_jax.envs.reach import NEAR
 from ear_jax.runs.statistics import interquartile_mean
@@ -71,7 +72,7 @@ INTERPOLATED = (
     "Pairs of neighbouring tasks between which interpolation succeeds, over all seeds. Mid-task: some β between "
     f"{MID_TASK_RANGE[0]:g} and {MID_TASK_RANGE[1]:g} meets the value midway, to within {100 * REACHED:g} % of the "
     f"distance between the two, in the mean of {InterpolateCommand.episodes} episodes. Again: the β that came nearest "
-    "meets it in the mean of 10 fresh episodes. 1:1: the outcome at β = ½ lies between the two."
+    f"meets it in the mean of {FRESH} fresh episodes. 1:1: the outcome at β = ½ lies between the two."
 )
 
 
@@ -140,8 +141,9 @@ def refined(index: RunIndex) -> list[Block]:
             notes.append(f"{NAMES[method.family]} is refined with{env_flags(options)}; its returns are without.")
     columns = ("before", "refined", "paper", *MEASURES.values(), "seeds", "its env steps", "its minutes")
     caption = (
-        "Returns before and after `ear refine`, each from 20 fresh episodes a task, and pairs of neighbouring tasks "
-        "that blend, before → after. MHMT-SAC's heads do not blend. Last: what the refinement took."
+        f"Returns before and after `ear refine`, each from {RefineCommand.episodes} fresh episodes a task, and pairs "
+        "of neighbouring tasks that blend, before → after. MHMT-SAC's heads do not blend. Last: what the refinement "
+        "took."
     )
     return [Table(" ".join([caption, *dict.fromkeys(notes)]), ("family", "method", *columns), rows)]
 

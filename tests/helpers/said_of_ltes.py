@@ -120,7 +120,7 @@ def of_courses() -> list[str]:
         f"and the look-up's {look_up[0]}, {look_up[1]} and {look_up[2]}",
         f"Without a film the command took {min(seconds):.0f} to {max(seconds):.0f} s on two cores",
         f"passed within a metre of every way-point from {met} of {count} fresh starts",
-        f"fell on the way from {count - round(count * pursuit['lasted'])} of them",
+        f"fell from {count - round(count * pursuit['lasted'])} of them",
         f"it turned wide, up to {max(pursuit['aside']):.1f} m from the path",
         f"it missed a way-point by {newest[pursuit['course'], 'look-up']['error']:.1f} m",
         f"passed every way-point from {met_before} of {len(slower['errors'])}",

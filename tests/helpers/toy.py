@@ -50,9 +50,9 @@ def compile_toy(program: Program, keys: jax.Array, numbers: Mapping[str, np.ndar
         returns = policy.sum() + jax.random.uniform(key, (tasks, program.config.log.episodes))
         return Episodes(returns, jnp.ones_like(returns, jnp.int32), {}, {})
 
-    start = over_seeds(init, seeds, (0,))
-    parts = [over_seeds(part, seeds, (0,), donate_argnums=0) for part in (collect, learn)]
-    return Compiled(start, *parts, over_seeds(evaluate, seeds, (0, 0)), jax.eval_shape(start, keys))
+    start = over_seeds(init, seeds)
+    parts = [over_seeds(part, seeds, donate_argnums=0) for part in (collect, learn)]
+    return Compiled(start, *parts, over_seeds(evaluate, seeds), jax.eval_shape(start, keys))
 
 
 if __name__ == "__main__":

@@ -74,7 +74,17 @@ def test_it_is_the_best_seed_that_is_recorded(name):
 def test_it_tells_among_how_many_seeds_it_was_chosen(name):
     card = pretrained.card(name)
     found = among_seeds(load(Path(f"pretrained:{name}")), "refined" in card)
-    assert found == pytest.approx({key: card[key] for key in found})
+    assert found == pytest.approx({key: card[key] for key in ("seeds", "mean_of_seeds")})
+
+
+def test_a_seed_whose_preset_is_named_otherwise_is_counted_with_the_others():
+    """Seed 0 was trained as `fast` with the settings of `fast+wide`."""
+    one, other = (
+        among_seeds(load(RECORDS / f"ant-dir-ear-fast+wide-seed{seed}" / "policy.safetensors"), refined=False)
+        for seed in (0, 1)
+    )
+    assert one == other
+    assert one["seeds"] == 3
 
 
 def test_there_are_some_and_they_are_small_and_in_the_wheel():

@@ -6,6 +6,7 @@ import copy
 import math
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from ear_jax.files.replacing import claim_file
 from ear_jax.learning.ppo import Ppo
 from ear_jax.process.stopping import Stopped
 from ear_jax.runs import refine as refining
-from ear_jax.runs import training
+from ear_jax.runs import safetensors, training
 from ear_jax.runs.refine import Refinement, refine
 from ear_jax.runs.trained import policy_of
 from tests.helpers.teachable import on_clock
@@ -100,10 +101,26 @@ def test_what_was_kept_of_another_refinement_or_is_damaged_is_refused(toy, tmp_p
     ):
         refine(toy, SMALL, 1, seed=1, part=part)
     content = part.read_bytes()
+    arrays, metadata = {"x": np.zeros(1, np.float32)}, {}
+    safetensors.write(part, arrays, {"sha256": safetensors.digest(arrays, metadata)})
+    with pytest.raises(RunError, match="holds no refinement of this version; delete it to begin anew"):
+        refine(toy, SMALL, 1, part=part)
     for damaged in (content[:-1] + bytes([content[-1] ^ 1]), content[:100]):
         part.write_bytes(damaged)
         with pytest.raises(RunError, match="delete it to begin anew"):
             refine(toy, SMALL, 1, part=part)
+
+
+def test_what_is_kept_of_many_iterations_can_be_read(toy, tmp_path):
+    """Their returns alone would fill the metadata that a file may have."""
+    learner = refining.PpoLearner(toy.program.agent, toy.program.family, toy.program.tasks.params, SMALL.ppo)
+    state = jax.vmap(learner.init)(toy.policies, jax.random.split(jax.random.key(0), 2))
+    course = refining.Course([[0.0, 1.0]] * 2, 40_000, 1.5, tuple([0.5 + number, -0.1] for number in range(40_000)))
+    part = tmp_path / "refined.part"
+    refining._write(part, {}, state, course)
+    read = refining._read(part, state, {})[1]
+    assert (read.before, read.iteration, read.seconds) == (course.before, course.iteration, course.seconds)
+    np.testing.assert_allclose(read.returns, course.returns, rtol=1e-6)
 
 
 def test_costs_of_refinements_add_up(toy):
