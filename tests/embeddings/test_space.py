@@ -61,3 +61,11 @@ def test_directions_wrap():
 
 def test_tasks_without_targets_have_no_measure(family):
     assert measure_space(family, CODES, 0 * CODES[:, 0], LASTS, along(SPEEDS), [None] * 10) is None
+
+
+def test_tasks_that_are_equally_far_apart_have_no_order():
+    """Three directions, and three points of a great circle: every distance is 120 degrees."""
+    angles = np.array([0.0, 120.0, 240.0])
+    tasks = np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles)), 0 * angles], axis=1)
+    longitude = np.degrees(np.arctan2(CODES[:, 1], CODES[:, 0])) % 360
+    assert measure_space(AntDir("native"), CODES, longitude, LASTS, tasks, list(angles))["ordered"] == 0

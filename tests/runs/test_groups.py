@@ -66,8 +66,9 @@ def test_what_cannot_be_grouped_is_refused(tmp_path):
         read(run)
 
 
-def test_rows_without_their_seed_are_named(tmp_path):
+@pytest.mark.parametrize(("row", "lacking"), [({"epoch": 20}, "seed"), ({"seed": 0, "epoch": 20}, "env_steps")])
+def test_rows_that_lack_a_key_are_named(row, lacking, tmp_path):
     run = write_records(tmp_path / "run", {0: rows(1)})
-    append_rows(run / "metrics.jsonl", [{"epoch": 20}])
-    with pytest.raises(RunError, match=r"metrics\.jsonl cannot be read: a row lacks 'seed'"):
+    append_rows(run / "metrics.jsonl", [row])
+    with pytest.raises(RunError, match=rf"metrics\.jsonl is damaged: line 2: its '{lacking}' is missing"):
         read(run)

@@ -255,3 +255,9 @@ def test_a_file_of_an_earlier_version_has_one_checksum_and_loads(original, tmp_p
         joined({"__metadata__": {**metadata, "sha256": digest(metadata, header, arrays)}, **header}, arrays)
     )
     assert np.isfinite(load(file).policies["networks"]["decoder"]["params"]["Dense_0"]["kernel"]).all()
+
+
+def test_metadata_that_could_not_be_read_are_not_written(tmp_path):
+    with pytest.raises(RunError, match="at most 1,000,000 can be read"):
+        safetensors.write(tmp_path / "long.safetensors", {}, {"long": "x" * 1_000_000})
+    assert list(tmp_path.iterdir()) == []
