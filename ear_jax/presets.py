@@ -103,7 +103,10 @@ def preset_config(family: str, preset: str, agent: str = "ear") -> Config:
 
     base, variants = parts(preset)
     method = find_method(agent)
-    changes = merged(PRESETS[base], family_presets(family).get(base, {}))
+    own = family_presets(family)
+    for name in own:
+        known_name(f"preset in those of {family}", name, PRESETS)
+    changes = merged(PRESETS[base], own.get(base, {}))
     changes = merged(changes, method.presets.get(base, {}))
     changes = merged(changes, method.families.get(base, {}).get(family, {}))
     for variant in variants:

@@ -11,7 +11,7 @@ from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, label_of, print_table, show_and_keep
 from ear_jax.embeddings import ltes
 from ear_jax.errors import UsageError, counted, plain
-from ear_jax.process.terminal import phase
+from ear_jax.process.terminal import phase, say
 
 if TYPE_CHECKING:
     from ear_jax.embeddings.search import Search
@@ -162,11 +162,24 @@ def _check_save(name: str, trained: Trained) -> None:
 
 
 def _save(command: AdaptCommand, trained: Trained, document: dict[str, Any], asked_by: str) -> None:
-    """Saves the LTEs found, if asked to."""
-    if command.save is not None:
-        codes = [task["lte"] for task in document["tasks"]]
-        name = document["tasks"][0]["name"]
-        ltes.save(trained.directory, command.save, name, codes, trained.fingerprint, asked_by)
+    """Saves the LTEs found, if asked to, and says so; of a search's and the map's the one that returned more."""
+    if command.save is None:
+        return
+    found = [_better(task) for task in document["tasks"]]
+    codes, name = [lte for _, lte in found], document["tasks"][0]["name"]
+    ltes.save(trained.directory, command.save, name, codes, trained.fingerprint, asked_by)
+    ways = " and ".join(dict.fromkeys(way for way, _ in found))
+    say(f"saved as {command.save}: the LTE found by {ways}; other commands take it as --lte {command.save}")
+
+
+def _better(task: dict[str, Any]) -> tuple[str, list[float]]:
+    """Returns the way by which a task's better LTE was found, and that LTE."""
+    if "best" in task:
+        return task["best"], task["lte"]
+    answer, epochs = task["zero_shot"], task["epochs"]
+    if answer and (not epochs or answer["reevaluated"] > epochs[-1]["reevaluated"]):
+        return "map", answer["lte"]
+    return "search", task["lte"]
 
 
 def _print(document: dict[str, Any], unit: str) -> None:
@@ -192,7 +205,8 @@ def _print(document: dict[str, Any], unit: str) -> None:
                 print(f"no LTE on the map comes near {plain(name)}")
     for name, task in zip(names, tasks, strict=True):
         if task["lte"]:
-            print(f"LTE for {plain(name)}: " + " ".join(f"{number:.4f}" for number in task["lte"]))
+            way, lte = _better(task)
+            print(f"best LTE for {plain(name)}, by {way}: " + " ".join(f"{number:.4f}" for number in lte))
 
 
 def _of_search(epochs: list[dict[str, float]]) -> list[str]:

@@ -66,6 +66,11 @@ def say_summary(directory: Path, rows: Sequence[dict[str, Any]]) -> None:
     best, worst = max(returns, key=returns.__getitem__), min(returns, key=returns.__getitem__)
     if best != worst:
         say(f"best task {best}: {returns[best]:.1f}; worst {worst}: {returns[worst]:.1f}")
+    if lost := max(row.get("invalid_steps", 0.0) for row in rows):
+        say(
+            f"warning: up to {lost:.1f} steps of an epoch had a reward, an outcome or a state that was not finite; "
+            "nothing was learnt from them"
+        )
 
 
 def sparkline(values: Sequence[float], width: int) -> str:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ear_jax.agents.networks import Params
+from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import Episodes, achieved, play
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs import training
@@ -85,8 +86,19 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
 
     Returns:
       The document that `ear evaluate --lte --json` prints.
+
+    Raises:
+      UsageError: codes of another shape or not finite, or no episodes.
+      RunError: the episodes do not fit in memory.
     """
     program, family = trained.program, trained.program.family
+    shape = program.config.seeds, program.agent.code_size
+    if jnp.shape(codes) != shape:
+        raise UsageError(f"codes must have shape {shape}, one for each seed, but have {jnp.shape(codes)}")
+    if not jnp.isfinite(codes).all():
+        raise UsageError("codes must be finite")
+    if episodes < 1:
+        raise UsageError(f"episodes {episodes} is too small; it must be at least 1")
     check_rollouts(program, program.config.seeds * episodes, family.episode_length)
 
     def of_seed(policy: Params, key: jax.Array, code: jax.Array) -> tuple[Episodes, jax.Array]:

@@ -74,6 +74,8 @@ class FamilyVectorEnv(VectorEnv):
         """
         if self._env_states is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
+        if np.shape(actions) != self.action_space.shape:
+            raise UsageError(f"actions must have shape {self.action_space.shape}, but have {np.shape(actions)}")
         self._env_states, step = self._step(self._env_states, jnp.asarray(actions, jnp.float32))
         step = jax.device_get(step)
         infos: Infos = {}
@@ -121,6 +123,8 @@ class FamilyEnv(gymnasium.Env):
 def _tasks(family: Family, names: Sequence[str]) -> TaskSet:
     if isinstance(names, str):
         raise UsageError(f"tasks={names!r} must be a list of names, as in tasks=[{names!r}]")
+    if other := [name for name in names if not isinstance(name, str)]:
+        raise UsageError(f"a task is named by text, as in {str(other[0])!r}, not by {other[0]!r}")
     return task_set([find_task(family, name) for name in names]) if len(names) else family.training_tasks()
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -12,6 +12,7 @@ import numpy as np
 
 from ear_jax.envs.family import Family
 from ear_jax.envs.rehearsal import check_pure, check_steps, warn_of_ranges
+from ear_jax.envs.symmetry import Symmetry
 from ear_jax.envs.user_code import source_file, user_code
 from ear_jax.errors import UsageError, unknown
 from ear_jax.physics import Motion, Physics
@@ -40,7 +41,8 @@ def check_family(family: Family) -> None:
     """Raises UsageError for a family's first fault, with what is expected instead; warns of odd ranges of controls."""
     tasks = _check_task_sets(family)
     if not family.action_size:
-        raise UsageError("the model has no actuators")
+        raise UsageError("the model has no actuators" if not family.model.nu else "action_size is 0")
+    _check_looks(family, tasks)
     call = {name: _traced(family, name) for name in ("observe", "terminated", "actuate", "outcome", "reward")}
     key, action = jax.random.key(0), jnp.zeros(family.action_size)
     physics = _traced(family, "initial")(key)
@@ -91,6 +93,24 @@ def _check_task_sets(family: Family) -> TaskSet:
     return training
 
 
+def _check_looks(family: Family, tasks: TaskSet) -> None:
+    """Checks what is read outside training: options, symmetry, pictures, and what tasks ask for."""
+    for option in family.options:
+        if not hasattr(family, option):
+            raise UsageError(f"options names {option!r}, which has no default; define it in the class")
+    symmetry = user_code("symmetry fails", source_file(type(family)))(lambda: family.symmetry)()
+    if not isinstance(symmetry, Symmetry | None):
+        raise UsageError(f"symmetry must be a Symmetry or None, but is {_kind(symmetry)}")
+    if not isinstance(portrait := _guarded(family, "portrait")(), mujoco.MjModel):
+        raise UsageError(f"portrait() must return a mujoco.MjModel, but returns {_kind(portrait)}")
+    for task in tasks.tasks:
+        asked, goal = _guarded(family, "asks")(task), _guarded(family, "goal")(task)
+        if not (_are_texts(asked) and len(asked) == 2):
+            raise UsageError(f"asks() must return the name of an outcome and its unit, but returns {asked!r}")
+        if goal is not None and not (np.shape(goal) == (3,) and all(map(_is_number, goal))):
+            raise UsageError(f"goal() must return three coordinates or None, but returns {goal!r}")
+
+
 def _check_start(family: Family, physics: Any) -> None:
     if not isinstance(physics, Physics):
         raise UsageError(f"initial() must return a Physics, but returns {_kind(physics)}")
@@ -136,7 +156,7 @@ def _expect(name: str, value: Any, shape: tuple[int, ...] | None, dtype: str | N
     wanted = "a vector" if shape is None else f"of shape {shape}" if shape else "a scalar"
     if not isinstance(value, jax.Array):
         raise UsageError(f"{name} must be {wanted}, but is {_kind(value)}")
-    if (value.ndim != 1) if shape is None else (value.shape != shape):
+    if (value.ndim != 1 or not value.size) if shape is None else (value.shape != shape):
         raise UsageError(f"{name} must be {wanted}, but has shape {value.shape}")
     if dtype not in (None, value.dtype.name):
         raise UsageError(f"{name} must be {dtype}, but is {value.dtype}")
@@ -170,6 +190,10 @@ def _are_texts(value: Any) -> bool:
     return isinstance(value, tuple) and all(map(_is_text, value))
 
 
+def _are_presets(value: Any) -> bool:
+    return isinstance(value, Mapping) and all(isinstance(changes, Mapping) for changes in value.values())
+
+
 def _are_limits(value: Any) -> bool:
     return isinstance(value, tuple) and len(value) == 2 and all(map(_is_count, value))
 
@@ -183,5 +207,6 @@ _ATTRIBUTES = {
     "bodies": (_are_texts, "a tuple of names"),
     "episode_length": (_is_count, "a whole number of at least 1"),
     "options": (_are_texts, "a tuple of names"),
+    "presets": (_are_presets, "a dictionary of settings for each preset"),
 }
 _MODEL = {"model_file": (_is_text, "one of Gymnasium's models, unless load() is defined")}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import shlex
+from statistics import pstdev
 from typing import Any
 
 from ear_jax.config import env_flags
@@ -33,7 +33,7 @@ def to_markdown(card: dict[str, Any], file: str) -> str:
 
 def _front_matter(card: dict[str, Any]) -> list[str]:
     """Returns the front matter in YAML, whose strings are written as JSON's."""
-    metric = f"{card['mean_return']:.2f} +/- {_spread(card['tasks']):.2f}"
+    metric = f"{card['mean_return']:.2f} +/- {pstdev(task['return'] for task in card['tasks']):.2f}"
     shipped = ["license: mit"] if "record" in card else []  # the owner of another policy chooses its licence
     return [
         *shipped,
@@ -142,10 +142,3 @@ def _code(words: str) -> str:
 
 def _number(value: float | None, digits: int = 2) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _spread(tasks: list[dict[str, Any]]) -> float:
-    """Returns the standard deviation of returns over tasks."""
-    returns = [task["return"] for task in tasks]
-    mean = sum(returns) / len(returns)
-    return math.sqrt(sum((value - mean) ** 2 for value in returns) / len(returns))

@@ -7,6 +7,7 @@ import statistics
 
 import pytest
 
+from ear_jax.cli.adapt import _better as better
 from ear_jax.cli.main import main
 from ear_jax.embeddings import imagine, survey
 
@@ -116,3 +117,12 @@ def test_from_most_starts_a_square_is_met_within_a_metre(tmp_path, monkeypatch, 
         statistics.median(seed["ways"]["pursuit"]["errors"]) < 1 < statistics.median(seed["ways"]["look-up"]["errors"])
     )
     assert any(path.endswith("seed1.png") for path in document["figures"])
+
+
+def test_of_a_search_and_the_map_the_lte_that_returned_more_is_saved():
+    answer = {"lte": [0.0, 1.0], "reevaluated": -57.4}
+    task = {"lte": [1.0, 0.0], "epochs": [{"reevaluated": -50.0}, {"reevaluated": -60.9}], "zero_shot": answer}
+    assert better(task) == ("map", [0.0, 1.0])
+    assert better({**task, "zero_shot": {**answer, "reevaluated": -61.0}}) == ("search", [1.0, 0.0])
+    assert better({**task, "zero_shot": None}) == ("search", [1.0, 0.0])
+    assert better({**task, "epochs": []}) == ("map", [0.0, 1.0])

@@ -44,6 +44,12 @@ def test_the_summary_is_the_mean_over_seeds(capsys):
     ]
 
 
+def test_steps_that_were_not_finite_are_told(capsys):
+    row = {"seed": 0, "env_steps": 1, "updates": 1, "seconds": 1.0, "mean_return": 0.0, "returns": {"a": 0.0}}
+    say_summary(Path("runs/x"), [{**row, "epoch": epoch, "invalid_steps": lost} for epoch, lost in ((1, 16.1), (2, 0))])
+    assert "warning: up to 16.1 steps of an epoch had a reward" in capsys.readouterr().err
+
+
 def test_commands_name_the_program_as_it_can_be_typed_here(tmp_path, monkeypatch):
     ear = tmp_path / ".venv" / "bin" / "ear"
     ear.parent.mkdir(parents=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from ear_jax.embeddings import adapt as adaptation
 from ear_jax.embeddings import cem, ltes
 from ear_jax.embeddings.adapt import adapt
 from ear_jax.embeddings.codes import blend, fibonacci_sphere, slerp
-from ear_jax.embeddings.evaluate import evaluate
+from ear_jax.embeddings.evaluate import evaluate, evaluate_code
 from ear_jax.embeddings.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.embeddings.interpolate import _check_reach as check_reach
 from ear_jax.embeddings.map import LteMap, check_sphere, code_for_target
@@ -26,7 +27,7 @@ from ear_jax.envs.ant_dir import AntDir
 from ear_jax.errors import UsageError
 from ear_jax.methods import Sizes, make_agent
 from ear_jax.presets import preset_config
-from ear_jax.runs.trained import Trained
+from ear_jax.runs.trained import Trained, load
 from ear_jax.runs.training import Program
 from ear_jax.tasks import task_set
 from tests.helpers.obedient import CODES, obedient
@@ -288,3 +289,17 @@ def test_a_saved_code_is_of_the_policy_it_was_found_for(tmp_path):
 def test_a_fingerprint_tells_policies_apart(toy):
     other = dataclasses.replace(toy, policies=toy.policies + 1)
     assert toy.fingerprint == dataclasses.replace(toy).fingerprint != other.fingerprint
+
+
+@pytest.mark.parametrize(
+    ("codes", "episodes", "complaint"),
+    [
+        (np.zeros(3), 1, r"codes must have shape \(1, 3\), one for each seed, but have \(3,\)"),
+        (np.full((1, 3), np.nan), 1, "codes must be finite"),
+        (np.ones((1, 3)), 0, "episodes 0 is too small; it must be at least 1"),
+    ],
+)
+def test_codes_that_cannot_be_played_are_refused(codes, episodes, complaint):
+    trained = load(Path("pretrained:hopper-vel"))
+    with pytest.raises(UsageError, match=complaint):
+        evaluate_code(trained, codes, episodes, 0)

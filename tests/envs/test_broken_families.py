@@ -51,6 +51,13 @@ def never(*_):
 
 # Each family's difference from the bandit, and the message about it.
 BROKEN = [
+    ({"symmetry": "mirror"}, "symmetry must be a Symmetry or None, but is a value of type str"),
+    ({"symmetry": property(never)}, "symmetry fails: ValueError: never"),
+    ({"portrait": lambda self: 3}, r"portrait\(\) must return a mujoco\.MjModel, but returns a value of type int"),
+    ({"asks": lambda self, task: 3}, r"asks\(\) must return the name of an outcome and its unit, but returns 3"),
+    ({"goal": lambda self, task: 3}, r"goal\(\) must return three coordinates or None, but returns 3"),
+    ({"options": ("gain",)}, "options names 'gain', which has no default; define it in the class"),
+    ({"observe": lambda self, physics: jnp.zeros(0)}, r"observe\(\) must be a vector, but has shape \(0,\)"),
     ({"load": never}, r"its constructor fails: ValueError: never \(test_broken_families\.py, line \d+, in never\)$"),
     ({"load": lambda self: None}, r"load\(\) must return a mujoco\.MjModel, not a NoneType"),
     ({"load": Family.load, "model_file": "hoper.xml"}, r"unknown model 'hoper\.xml'; did you mean 'hopper\.xml'"),

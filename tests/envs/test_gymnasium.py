@@ -113,12 +113,20 @@ def test_numbers_that_are_not_finite_end_the_episode_without_a_reward():
     [
         ({"num_envs": 1}, "num_envs=1 is too few for 2 tasks; take 2"),
         ({"num_envs": 2, "tasks": "0.5"}, "must be a list of names"),
+        ({"num_envs": 2, "tasks": [2]}, "a task is named by text, as in '2', not by 2"),
         ({"num_envs": 2, "family": "hoper-vel"}, "did you mean 'hopper-vel'"),
     ],
 )
 def test_mistakes_are_told(arguments, complaint):
     with pytest.raises(UsageError, match=complaint):
         gymnasium.make_vec("ear_jax/Family-v0", **{"family": SLIDER, **arguments})
+
+
+def test_actions_of_another_shape_are_refused():
+    envs = gymnasium.make_vec("ear_jax/Family-v0", family=SLIDER, num_envs=2)
+    envs.reset(seed=0)
+    with pytest.raises(UsageError, match=r"actions must have shape \(2, 1\), but have \(2, 3\)"):
+        envs.step(np.zeros((2, 3)))
 
 
 @pytest.mark.parametrize("imports", ["import ear_jax, gymnasium", "import gymnasium, ear_jax"])

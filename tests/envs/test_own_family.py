@@ -143,6 +143,11 @@ PARTS = "training_tasks = parse_task = initial = observe = outcome = reward = pr
         ),
         ("mine.py:Mine", "class Mine(Bandit): substeps = 0.5", r"substeps must be a whole number of .*, but is 0\.5"),
         ("mine.py:Mine", "class Mine(Bandit): mjx_solver = 4", r"mjx_solver must be two whole numbers .*, but is 4"),
+        (
+            "mine.py:Mine",
+            "class Mine(Bandit): presets = ['fast']",
+            r"presets must be a dictionary of settings for each",
+        ),
         ("mine.py:Mine", "class Mine(Bandit): bodies = 'foot'", r"bodies must be a tuple of names, but is 'foot'"),
         ("mine.py:Mine", "class Mine(Bandit): load = Family.load", "does not define model_file; it must be one of Gym"),
         (
