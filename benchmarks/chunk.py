@@ -39,9 +39,7 @@ def collect(program: Program, state: TrainState) -> Transition:
 
 def update(program: Program, state: TrainState) -> SacState:
     """Returns the learner after an epoch's updates."""
-    learner = program.learner.observe(state.learner, state.replay)
-    draws = program.learner.draw(state.key, program.config.sac.updates)
-    return jax.lax.scan(lambda carry, drawn: program.learner.update(carry, state.replay, drawn), learner, draws)[0]
+    return program.learner.learn(state.learner, state.replay, state.key)[0]
 
 
 def repeat(step: Step, carried: Any) -> Callable[[], None]:

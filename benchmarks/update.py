@@ -68,15 +68,16 @@ def filled(program: Program, key: jax.Array) -> training.TrainState:
     )
 
 
+def updated(program: Program, updates: int, learner: SacState, buffer: Replay, key: jax.Array) -> SacState:
+    """Returns one seed's learner after some updates."""
+    draws = program.learner.draw(key, updates)
+    return jax.lax.scan(lambda learner, draws: program.learner.update(learner, buffer, draws), learner, draws)[0]
+
+
 def update_run(program: Program, state: training.TrainState, updates: int) -> Any:
     """Returns a call that makes the updates of an epoch for all seeds; leaves of `state` are [seeds, …]."""
-
-    def one_seed(learner: SacState, buffer: Replay, key: jax.Array) -> SacState:
-        draws = program.learner.draw(key, updates)
-        return jax.lax.scan(lambda learner, draws: program.learner.update(learner, buffer, draws), learner, draws)[0]
-
     options = runtime.compiler_options(program.config.network.matmul)
-    run = jax.jit(jax.vmap(one_seed), compiler_options=options)
+    run = jax.jit(jax.vmap(partial(updated, program, updates)), compiler_options=options)
     return lambda: jax.block_until_ready(run(state.learner, state.replay, state.key))
 
 
