@@ -12,8 +12,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 import os
+import statistics
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -137,14 +140,29 @@ def measure_bits(flags: str, options: argparse.Namespace, config: Config) -> dic
 
 
 def measure_run(options: argparse.Namespace, config: Config) -> dict[str, Any]:
-    """Trains a run and returns the seconds to its marks and to its end, from the start of the process' work."""
-    directory = options.results / "gpu-run"
-    began = time.perf_counter()
-    train_run(config, directory)
-    seconds = time.perf_counter() - began
-    marks = time_to_return.rows_of(directory)
-    passed = {f"to_{row['return']:g}_s": row["seconds"] for row in reversed(marks) if "seconds" in row}
-    return {"engine": config.engine, "epochs": config.epochs, "run_s": round(seconds, 1), **passed}
+    """Trains a new run and returns the seconds to its marks and to its end, from the start of the process' work."""
+    with tempfile.TemporaryDirectory() as scratch:
+        directory = Path(scratch) / "run"
+        began = time.perf_counter()
+        train_run(config, directory)
+        seconds = time.perf_counter() - began
+        marks = to_marks(time_to_return.rows_of(directory))
+    return {"engine": config.engine, "epochs": config.epochs, "run_s": round(seconds, 1), **marks}
+
+
+def to_marks(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Returns by mark how many seeds passed it, and the median seconds over all seeds where more than half did.
+
+    Args:
+      rows: one for each seed and mark, without `seconds` where the seed never passed the mark.
+    """
+    found: dict[str, float] = {}
+    for mark in dict.fromkeys(row["return"] for row in rows):
+        seconds = [row.get("seconds", math.inf) for row in rows if row["return"] == mark]
+        found[f"to_{mark:g}_passed"] = sum(map(math.isfinite, seconds))
+        if math.isfinite(median := statistics.median(seconds)):
+            found[f"to_{mark:g}_s"] = median
+    return found
 
 
 Measurement = tuple[str, Callable[[argparse.Namespace, Config], dict[str, Any]], Config]

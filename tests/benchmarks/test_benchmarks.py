@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from benchmarks import recipe
+from benchmarks import gpu, recipe
 from benchmarks.time_to_return import passed
 from ear_jax.runs import records
 from tests.helpers.overlap import overlaps
+from tests.helpers.runs import tiny_config
 
 ROOT = Path(__file__).parents[2]
 
@@ -22,6 +25,39 @@ def test_a_mark_is_passed_by_three_evaluations_in_a_row():
     assert passed(rows, 3)["updates"] == 2, "0, 9 and 0"
     assert passed(rows, 5.1) is None
     assert passed(rows[:2], 0) is None
+
+
+def test_seconds_to_a_mark_are_the_median_over_seeds():
+    passed = {-350: (3.0, 1.0, 2.0), -300: (9.0, None, 8.0), -250: (None, 20.0, None), -200: (None, None, None)}
+    rows = [
+        {"seed": seed, "return": mark, **({"seconds": seconds} if seconds else {"passed": False})}
+        for mark, of_seeds in passed.items()
+        for seed, seconds in enumerate(of_seeds)
+    ]
+    assert gpu.to_marks(rows) == {
+        "to_-350_passed": 3,
+        "to_-350_s": 2.0,
+        "to_-300_passed": 2,
+        "to_-300_s": 9.0,
+        "to_-250_passed": 1,
+        "to_-200_passed": 0,
+    }
+
+
+def test_every_measurement_of_a_run_trains_a_new_one(monkeypatch):
+    config, trained = tiny_config(), []
+
+    def train(config, directory):
+        assert not directory.exists()
+        directory.mkdir()
+        records.write_json(directory / "config.json", {"config": dataclasses.asdict(config)})
+        records.append_rows(directory / "metrics.jsonl", [])
+        trained.append(directory)
+
+    monkeypatch.setattr(gpu, "train_run", train)
+    rows = [gpu.measure_run(argparse.Namespace(), config) for _ in range(2)]
+    assert len(trained) == len(rows) == 2
+    assert not any(directory.exists() for directory in trained)
 
 
 @pytest.mark.slow
