@@ -20,9 +20,10 @@ PANELS = (
 
 
 def draw_page(results: Path) -> Path | None:
-    """Draws a panel each of updates, collection and epochs; returns the picture's path, None without rows."""
-    path = results / "gpu.jsonl"
-    rows = [row for row in latest(path, KEYS) if "failed" not in row] if path.exists() else []
+    """Draws a panel each of updates, collection and epochs; returns the picture's path, None without such rows."""
+    path, drawn = results / "gpu.jsonl", {what for what, *_ in PANELS}
+    found = latest(path, KEYS) if path.exists() else []
+    rows = [row for row in found if "failed" not in row and row["what"] in drawn]
     if not rows:
         return None
     with plt.rc_context(STYLE):

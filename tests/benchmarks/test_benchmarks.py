@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import gpu, recipe
+from benchmarks.gpu_page import draw_page
 from benchmarks.time_to_return import passed
 from ear_jax.runs import records
 from tests.helpers.overlap import overlaps
@@ -42,6 +43,12 @@ def test_seconds_to_a_mark_are_the_median_over_seeds():
         "to_-250_passed": 1,
         "to_-200_passed": 0,
     }
+
+
+def test_a_page_without_panels_is_not_drawn(tmp_path):
+    assert draw_page(tmp_path) is None
+    records.append_rows(tmp_path / "gpu.jsonl", [{"what": "run", "quick": False, "run_s": 1.0}])
+    assert draw_page(tmp_path) is None
 
 
 def test_every_measurement_of_a_run_trains_a_new_one(monkeypatch):
