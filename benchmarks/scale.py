@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from benchmarks import common
@@ -24,6 +25,7 @@ from experiments.report import documents
 DOCUMENT, PLACE = common.RESULTS.parent.parent / "docs" / "scale.md", "costs"
 SIZES = {"seeds": ((1, 10), (2, 10), (4, 10), (8, 10)), "tasks": ((1, 10), (1, 100), (1, 1000))}
 QUICK = {"seeds": ((1, 2), (2, 2)), "tasks": ((1, 2), (1, 4))}
+UPDATES, QUICK_UPDATES = 50, 2  # of an epoch; its fixed costs are shared among them
 EPOCHS_HELD = 5  # epochs of collection that the replay holds; those of `fast` are 100
 WORDS = {
     "collect_seconds": "collection grows with them",
@@ -33,9 +35,11 @@ WORDS = {
     "peak_bytes": "peak memory",
 }
 COSTS = tuple(WORDS)
+# The row of an update whose critics still multiplied by the one-hot.
+ONE_HOT = {"axis": "tasks", "seeds": 1, "tasks": 1000, "commit": "e3a7111bb1b2"}
 
 
-def measure(seeds: int, tasks: int, repeats: int) -> dict[str, float]:
+def measure(seeds: int, tasks: int, updates: int, repeats: int) -> dict[str, float]:
     """Returns the costs of a size in this process: of an epoch's collection, an update, an evaluation, and memory."""
     import jax
 
@@ -44,7 +48,7 @@ def measure(seeds: int, tasks: int, repeats: int) -> dict[str, float]:
     from ear_jax.runs import training
     from ear_jax.runs.compiled import compile_program
 
-    config, updates = preset_config("halfcheetah-vel", "fast"), max(1, repeats)
+    config = preset_config("halfcheetah-vel", "fast")
     of_a_task = config.sac.batch_size // 10
     collect = config.collect
     config = replace(
@@ -83,10 +87,10 @@ def measure(seeds: int, tasks: int, repeats: int) -> dict[str, float]:
     }
 
 
-def apart(seeds: int, tasks: int, repeats: int) -> dict[str, float]:
-    """Returns the costs of a size, measured in a process of its own."""
+def apart(seeds: int, tasks: int, updates: int, repeats: int) -> dict[str, float]:
+    """Returns what `measure` returns, from a process of its own."""
     code = "import json, sys; from benchmarks.scale import measure; print(json.dumps(measure(*map(int, sys.argv[1:]))))"
-    words = [sys.executable, "-c", code, *map(str, (seeds, tasks, repeats))]
+    words = [sys.executable, "-c", code, *map(str, (seeds, tasks, updates, repeats))]
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -96,12 +100,13 @@ def growth(before: dict[str, float], after: dict[str, float], factor: float) -> 
     return {name: round(math.log(after[name] / before[name]) / math.log(factor), 3) for name in COSTS}
 
 
-def against(options: argparse.Namespace, axis: str, sizes: tuple[tuple[int, int], ...], repeats: int) -> None:
+def against(options: argparse.Namespace, axis: str, sizes: tuple[tuple[int, int], ...]) -> None:
     """Measures sizes along an axis and writes a row for each, with the growth from the one before."""
+    updates, repeats = (QUICK_UPDATES, 1) if options.quick else (UPDATES, 3)
     costs: list[dict[str, float]] = []
     for index, (seeds, tasks) in enumerate(sizes):
-        costs.append(apart(seeds, tasks, repeats))
-        row: dict[str, Any] = {"axis": axis, "seeds": seeds, "tasks": tasks, "repeats": repeats}
+        costs.append(apart(seeds, tasks, updates, repeats))
+        row: dict[str, Any] = {"axis": axis, "seeds": seeds, "tasks": tasks, "updates": updates, "repeats": repeats}
         row |= {name: float(f"{value:.5g}") for name, value in costs[-1].items()}
         if index:
             factor = math.prod(sizes[index]) / math.prod(sizes[index - 1])
@@ -109,19 +114,15 @@ def against(options: argparse.Namespace, axis: str, sizes: tuple[tuple[int, int]
         common.write_row(options, "scale", row)
 
 
-def measured(benchmark: str) -> list[dict[str, Any]]:
+def measured(benchmark: str, results: Path) -> list[dict[str, Any]]:
     """Returns the rows of whole measurements, the newest last."""
-    return [row for row in records.read_rows(common.RESULTS / f"{benchmark}.jsonl") if not row["quick"]]
+    return [row for row in records.read_rows(results / f"{benchmark}.jsonl") if not row["quick"]]
 
 
-def newest(benchmark: str) -> list[dict[str, Any]]:
+def newest(benchmark: str, results: Path) -> list[dict[str, Any]]:
     """Returns the last whole measurement of each size, or of each other row's kind."""
-    return list({(row.get("axis"), row.get("seeds"), row.get("tasks")): row for row in measured(benchmark)}.values())
-
-
-def _first(like: dict[str, Any]) -> dict[str, Any]:
-    """Returns the first measurement of a row's size."""
-    return next(row for row in measured("scale") if all(row[name] == like[name] for name in ("axis", "seeds", "tasks")))
+    rows = measured(benchmark, results)
+    return list({(row.get("axis"), row.get("seeds"), row.get("tasks")): row for row in rows}.values())
 
 
 def total_growth(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -130,10 +131,10 @@ def total_growth(rows: list[dict[str, Any]]) -> dict[str, float]:
     return growth(rows[0], rows[-1], sizes[-1] / sizes[0])
 
 
-def costs() -> str:
+def costs(results: Path = common.RESULTS) -> str:
     """Returns the measured part of docs/scale.md."""
-    found, lines = newest("scale"), []
-    lines += [
+    found = sorted(newest("scale", results), key=lambda row: (row["axis"], row["seeds"], row["tasks"]))
+    lines = [
         "| seeds | tasks | collection of an epoch | an update | an update, per seed and task | an evaluation | state | "
         "peak memory |",
         "|" + "---|" * 8,
@@ -148,17 +149,25 @@ def costs() -> str:
                 f"{row['evaluate_seconds']:.2f} s | "
                 f"{row['state_bytes'] / 1e6:,.0f} MB | {row['peak_bytes'] / 1e9:.1f} GB |"
             )
-    told = []
-    for axis in SIZES:
-        rows = [row for row in found if row["axis"] == axis]
-        powers = ", ".join(f"{WORDS[name]} to the power {power:.2f}" for name, power in total_growth(rows).items())
-        told.append(f"From {rows[0][axis]} to {rows[-1][axis]:,} {axis}: {powers}.")
-    told.append(
-        f"While critics multiplied by the one-hot, an update of {rows[-1]['tasks']:,} tasks took "
-        f"{1e3 * _first(rows[-1])['update_seconds']:,.0f} ms."
-    )
-    (saving,), (cluster,) = newest("saving"), newest("cluster")
+    told = [*(_along(axis, [row for row in found if row["axis"] == axis]) for axis in SIZES), *_one_hot(results)]
+    (saving,), (cluster,) = newest("saving", results), newest("cluster", results)
     return "\n".join((*lines, "", " ".join(told), "", plan(found, saving), "", _ray(cluster)))
+
+
+def _along(axis: str, rows: list[dict[str, Any]]) -> str:
+    """Returns the growth of all costs along an axis, in words."""
+    powers = ", ".join(f"{WORDS[name]} to the power {power:.2f}" for name, power in total_growth(rows).items())
+    return f"From {rows[0][axis]} to {rows[-1][axis]:,} {axis}: {powers}."
+
+
+def _one_hot(results: Path) -> list[str]:
+    """Returns the time of an update that multiplied by the one-hot, in words; nothing without its row."""
+    return [
+        f"While critics multiplied by the one-hot, an update of {row['tasks']:,} tasks took "
+        f"{1e3 * row['update_seconds']:,.0f} ms."
+        for row in measured("scale", results)
+        if ONE_HOT.items() <= row.items()
+    ]
 
 
 def plan(rows: list[dict[str, Any]], saving: dict[str, Any]) -> str:
@@ -196,9 +205,9 @@ def _ray(row: dict[str, Any]) -> str:
 def main() -> None:
     options = common.arguments(__doc__)
     for axis, sizes in (QUICK if options.quick else SIZES).items():
-        against(options, axis, sizes, 1 if options.quick else 3)
-    if not options.quick:
-        documents.put(DOCUMENT, PLACE, costs())
+        against(options, axis, sizes)
+    if not options.quick and options.results.samefile(common.RESULTS):
+        documents.put(DOCUMENT, PLACE, costs(options.results))
 
 
 if __name__ == "__main__":

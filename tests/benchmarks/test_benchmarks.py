@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from benchmarks import gpu, recipe
+from benchmarks import common, gpu, recipe, scale
 from benchmarks.gpu_page import draw_page
 from benchmarks.time_to_return import passed
 from ear_jax.runs import records
@@ -65,6 +66,33 @@ def test_every_measurement_of_a_run_trains_a_new_one(monkeypatch):
     rows = [gpu.measure_run(argparse.Namespace(), config) for _ in range(2)]
     assert len(trained) == len(rows) == 2
     assert not any(directory.exists() for directory in trained)
+
+
+def test_scale_rewrites_its_document_from_the_committed_rows_alone(tmp_path, monkeypatch):
+    written = []
+    monkeypatch.setattr(scale, "against", lambda *_: None)
+    monkeypatch.setattr(scale.documents, "put", lambda *words: written.append(words))
+    for words in (["--results", str(tmp_path)], ["--quick"], []):
+        monkeypatch.setattr(sys, "argv", ["scale", *words])
+        scale.main()
+    assert written == [(scale.DOCUMENT, scale.PLACE, scale.costs())]
+
+
+def test_scale_reads_rows_in_any_order(tmp_path):
+    for name in ("scale", "saving", "cluster"):
+        shutil.copy(common.RESULTS / f"{name}.jsonl", tmp_path)
+    rows = scale.measured("scale", tmp_path)
+    (old,) = [row for row in rows if scale.ONE_HOT.items() <= row.items()]
+    path = tmp_path / "scale.jsonl"
+
+    def costs_of(rows):
+        path.unlink()
+        records.append_rows(path, [{name: value for name, value in row.items() if name != "checksum"} for row in rows])
+        return scale.costs(tmp_path)
+
+    before = {**old, "commit": "before", "update_seconds": 99.0}
+    assert costs_of([before, *rows]) == scale.costs(), "an earlier row of that size changes nothing"
+    assert "one-hot" not in costs_of([row for row in rows if row is not old])
 
 
 @pytest.mark.slow
