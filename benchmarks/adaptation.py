@@ -8,12 +8,14 @@ with one policy call for each step.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,32 +25,50 @@ import numpy as np
 from benchmarks import common
 from ear_jax.agents.tanh_gaussian import squash
 from ear_jax.embeddings.codes import fibonacci_sphere
+from ear_jax.embeddings.interpolate import FRESH
 from ear_jax.physics import Physics
-from ear_jax.runs.trained import Trained, load
+from ear_jax.runs.trained import Trained, load, policy_of
 
 RUN = "pretrained:halfcheetah-vel"
-COMMANDS = {  # arguments after the run, and the env steps that they take
-    "map": (("--places", "2000"), 2000 * 200),
-    "interpolate": (("--all-pairs",), 9 * 99 * 3 * 200),
-    "adapt": ((), 3 * 10 * 90 * 200),
+COMMANDS = {  # arguments after the run, and the number of episodes of each LTE
+    "map": (("--places", "2000"), 1),
+    "interpolate": (("--all-pairs",), 3),
+    "adapt": ((), 5),
 }
-QUICK = {"adapt": ("--epochs", "1"), "interpolate": ("--episodes", "1"), "map": ()}
+QUICK = {"map": (), "interpolate": (), "adapt": ("--epochs", "1")}  # and one episode of each LTE
 
 
-def time_command(words: tuple[str, ...], directory: str) -> float:
-    """Returns the seconds of an `ear` command that writes to a working directory."""
+def time_command(words: tuple[str, ...], directory: str) -> tuple[float, dict[str, Any]]:
+    """Returns the seconds of an `ear` command that writes to a working directory, and the document that it prints."""
     began = time.perf_counter()
     root = Path(__file__).resolve().parents[1]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     command = [sys.executable, "-m", "ear_jax.cli.main", *words]
-    subprocess.run(command, check=True, capture_output=True, cwd=directory, env=environment)
-    return time.perf_counter() - began
+    done = subprocess.run(command, check=True, capture_output=True, cwd=directory, env=environment)
+    return time.perf_counter() - began, json.loads(done.stdout)
+
+
+def env_steps(command: str, document: dict[str, Any], episodes: int, steps: int) -> int:
+    """Returns the env steps that a command took, those of evaluations included.
+
+    Args:
+      command: its name.
+      document: the JSON that it printed.
+      episodes: `--episodes`: on a map, of each blend, or of each evaluation.
+      steps: the length of an episode.
+    """
+    if command == "map":
+        return steps * episodes * sum(len(entry["ltes"]) for entry in document["seeds"])
+    if command == "interpolate":
+        return steps * len(document["pairs"]) * (episodes * len(document["betas"]) + FRESH)
+    evaluated = sum(len(task["epochs"]) + (task["target"] is not None) for task in document["tasks"])
+    return document["env_steps"] + document["map_env_steps"] + steps * episodes * evaluated
 
 
 def loop_steps_per_second(trained: Trained, candidates: int) -> float:
     """Returns env steps per second of candidates played one after another with MuJoCo's `mj_step`."""
     family, agent = trained.program.family, trained.program.agent
-    policy = jax.tree.map(lambda leaf: leaf[0], trained.policies)
+    policy = policy_of(trained, 0)
     no_noise = jnp.zeros(family.action_size)
 
     @jax.jit
@@ -74,13 +94,17 @@ def loop_steps_per_second(trained: Trained, candidates: int) -> float:
 
 def measure(options: argparse.Namespace, command: str, trained: Trained, directory: str) -> None:
     """Times a command, with the loop before each of its runs so that their ratio is robust to drift of the machine."""
-    words, steps = COMMANDS[command]
-    words = (command, RUN, *words, *(QUICK[command] if options.quick else ()), "--json")
-    repeats = 1 if options.quick else 3
-    seconds, loops = [], []
+    words, episodes = COMMANDS[command]
+    repeats = 3
+    if options.quick:
+        words, episodes, repeats = (*words, *QUICK[command]), 1, 1
+    words = (command, RUN, *words, "--episodes", str(episodes), "--json")
+    steps, seconds, loops = 0, [], []
     for _ in range(repeats):
         loops.append(loop_steps_per_second(trained, 2 if options.quick else 20))
-        seconds.append(time_command(words, directory))
+        took, document = time_command(words, directory)
+        seconds.append(took)
+        steps = env_steps(command, document, episodes, trained.program.family.episode_length)
     speedups = [steps / rate / elapsed for rate, elapsed in zip(loops, seconds, strict=True)]
     row = {
         "command": command,

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import common, gpu, recipe, scale
+from benchmarks import adaptation, common, gpu, recipe, scale
 from benchmarks.gpu_page import draw_page
 from benchmarks.time_to_return import passed
+from ear_jax.embeddings.interpolate import FRESH
 from ear_jax.runs import records
 from tests.helpers.overlap import overlaps
 from tests.helpers.runs import tiny_config
@@ -66,6 +67,26 @@ def test_every_measurement_of_a_run_trains_a_new_one(monkeypatch):
     rows = [gpu.measure_run(argparse.Namespace(), config) for _ in range(2)]
     assert len(trained) == len(rows) == 2
     assert not any(directory.exists() for directory in trained)
+
+
+@pytest.mark.parametrize(
+    ("command", "document", "steps"),
+    [
+        ("map", {"seeds": [{"ltes": [[0, 0, 1]] * 7}] * 2}, 2 * 7 * 3 * 200),
+        ("interpolate", {"pairs": [{}, {}], "betas": [0.1, 0.2, 0.3, 0.4]}, 2 * (4 * 3 + FRESH) * 200),
+        (
+            "adapt",
+            {
+                "tasks": [{"epochs": [{}, {}], "target": 3.6}, {"epochs": [{}, {}], "target": None}],
+                "env_steps": 10_000,
+                "map_env_steps": 2000,
+            },
+            10_000 + 2000 + (2 + 2 + 1) * 3 * 200,
+        ),
+    ],
+)
+def test_the_env_steps_of_a_command_include_its_evaluations(command, document, steps):
+    assert adaptation.env_steps(command, document, episodes=3, steps=200) == steps
 
 
 def test_scale_rewrites_its_document_from_the_committed_rows_alone(tmp_path, monkeypatch):
