@@ -24,6 +24,7 @@ import numpy as np
 
 from benchmarks import common
 from ear_jax.agents.tanh_gaussian import squash
+from ear_jax.cli.exits import exit_code
 from ear_jax.embeddings.codes import fibonacci_sphere
 from ear_jax.embeddings.interpolate import FRESH
 from ear_jax.physics import Physics
@@ -126,4 +127,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("adaptation", main))

@@ -13,6 +13,7 @@ import dataclasses
 import importlib.util
 import os
 import re
+import sys
 import tempfile
 from collections import Counter
 from functools import partial
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import common, hlo
+from ear_jax.cli.exits import exit_code
 
 DEVICE = Path(__file__).with_name("h100.txtpb")
 PLUGIN = "jax_plugins.xla_cuda12"
@@ -196,4 +198,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("census", main))

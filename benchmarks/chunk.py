@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 
 from benchmarks import common
 from benchmarks.update import filled
+from ear_jax.cli.exits import exit_code
 from ear_jax.config import Config
 from ear_jax.envs.batched_env import BatchedEnv, Transition
 from ear_jax.learning import replay
@@ -108,4 +110,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("chunk", main))

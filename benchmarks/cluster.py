@@ -16,6 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 from tests.helpers.raylets import two_nodes
 
 RUNS, AT_ONCE = 6, 2
@@ -72,4 +73,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("cluster", main))

@@ -8,6 +8,7 @@ filled. XLA chooses a GPU's kernels by timing them, unless autotuning is off.
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import hashlib
 import os
@@ -15,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 
+from ear_jax.cli.exits import exit_code
 from ear_jax.config import Config
 from ear_jax.errors import RunError
 from ear_jax.presets import preset_config
@@ -76,10 +78,12 @@ def compare(preset: str, flags: str = "") -> dict[str, bool]:
 def main() -> None:
     from ear_jax.process.runtime import enable_cache
 
-    (preset,) = sys.argv[1:]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("preset", metavar="PRESET")
+    config = preset_config(FAMILY, parser.parse_args().preset)
     enable_cache()
-    print(trained_hash(dataclasses.replace(preset_config(FAMILY, preset), engine="native")))
+    print(trained_hash(dataclasses.replace(config, engine="native")))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("equal_bits", main))

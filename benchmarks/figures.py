@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
+from ear_jax.errors import RunError
 from ear_jax.figures.style import COLOURS, STYLE, save_figure
 from ear_jax.runs import records
 
@@ -175,7 +178,7 @@ def main() -> None:
             else:
                 axes.set_axis_off()
         if not any(rows for _, rows in panels):
-            raise SystemExit(f"no results in {options.results}: run the other benchmarks first")
+            raise RunError(f"no results in {options.results}: run the other benchmarks first")
         quick = any(row["quick"] for _, rows in panels for row in rows)
         title = "medians and ranges" + (" · quick runs, whose timings mean nothing" if quick else "")
         figure.suptitle(title, fontsize=9)
@@ -184,4 +187,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("figures", main))

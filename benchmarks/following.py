@@ -16,6 +16,7 @@ import time
 from typing import Any
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 
 CHEETAH, ANT = "pretrained:halfcheetah-vel", "pretrained:ant-dir"
 COURSES = (
@@ -61,4 +62,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("following", main))

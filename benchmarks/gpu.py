@@ -29,6 +29,7 @@ import jax
 from benchmarks import common, equal_bits, peers, time_to_return
 from benchmarks.gpu_page import draw_page
 from benchmarks.update import filled
+from ear_jax.cli.exits import exit_code
 from ear_jax.config import Config
 from ear_jax.errors import RunError, UsageError
 from ear_jax.presets import preset_config
@@ -214,12 +215,12 @@ def options_of() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def main() -> int:
+def main() -> None:
     options, began = options_of(), time.perf_counter()
     enable_cache()
     if jax.default_backend() == "cpu" and not options.quick:
         print("bench-gpu skipped: JAX finds no GPU here (--quick rehearses it on the CPU)")
-        return 0
+        return
     for what, measure, config in chosen(options):
         config = small(config) if options.quick else config
         left = 60 * options.minutes - (time.perf_counter() - began)
@@ -236,8 +237,7 @@ def main() -> int:
         device = {"device": jax.local_devices()[0].device_kind, "host_cores": os.cpu_count()}
         common.write_row(options, "gpu", {**about, **device, "precision": product(config.network.matmul), **row})
     draw_page(options.results)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_code("gpu", main))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import sys
 from functools import partial
 from typing import Literal
 
@@ -14,6 +15,7 @@ import jax
 
 from benchmarks import common
 from benchmarks.update import filled, update_run
+from ear_jax.cli.exits import exit_code
 from ear_jax.config import Config
 from ear_jax.presets import preset_config
 from ear_jax.process import runtime
@@ -57,4 +59,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("matmul", main))

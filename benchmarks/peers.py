@@ -24,6 +24,7 @@ from benchmarks import common
 from benchmarks.chunk import epoch_run
 from benchmarks.matmul import with_matmul
 from benchmarks.update import filled, update_run
+from ear_jax.cli.exits import exit_code
 from ear_jax.config import Config
 from ear_jax.presets import preset_config
 from ear_jax.runs import training
@@ -152,4 +153,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("peers", main))

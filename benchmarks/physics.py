@@ -24,6 +24,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 from ear_jax.envs import FAMILIES, Family, make_family
 from ear_jax.errors import RunError
 from ear_jax.physics import Physics
@@ -180,4 +181,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("physics", main))

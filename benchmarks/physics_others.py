@@ -8,6 +8,7 @@ list.
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import types
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 
 
 def gymnasium_rows(robot: str, batch: int, steps: int, repeats: int) -> list[dict[str, Any]]:
@@ -103,10 +105,15 @@ def _sizes(batch: int, steps: int, repeats: int, seconds: list[float]) -> dict[s
 
 
 def main() -> None:
-    kind, robot = sys.argv[1:3]
-    rows = {"gymnasium": gymnasium_rows, "spring": spring_rows}[kind]
-    print(json.dumps(rows(robot, *map(int, sys.argv[3:6]))))
+    kinds = {"gymnasium": gymnasium_rows, "spring": spring_rows}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=kinds)
+    parser.add_argument("robot", metavar="ROBOT")
+    for size in ("batch", "steps", "repeats"):
+        parser.add_argument(size, metavar=size.upper(), type=int)
+    options = parser.parse_args()
+    print(json.dumps(kinds[options.kind](options.robot, options.batch, options.steps, options.repeats)))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("physics_others", main))

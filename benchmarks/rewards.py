@@ -8,10 +8,12 @@ that were asked for at once, `at_once`.
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 from ear_jax.embeddings.rewards import adapt_to_rewards
 from ear_jax.embeddings.search import Search
 from ear_jax.process.environment import start_jax
@@ -56,4 +58,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("rewards", main))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 from benchmarks import common
 from benchmarks.chunk import epoch_run
 from benchmarks.update import filled
+from ear_jax.cli.exits import exit_code
 from ear_jax.presets import preset_config
 from ear_jax.runs import checkpoint, training
 
@@ -49,4 +51,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("saving", main))

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 from ear_jax.runs import records
 from experiments.report import documents
 
@@ -211,4 +212,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("scale", main))

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 
 IMPORTS = ("ear_jax", "jax", "ear_jax.runs.loop", "ear_jax.cli.train")
 # Beginning of a line of `ear train` → the phase that ends with it.
@@ -108,4 +109,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("startup", main))

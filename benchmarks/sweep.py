@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 from benchmarks import common
 from benchmarks.chunk import repeat
 from benchmarks.update import filled
+from ear_jax.cli.exits import exit_code
 from ear_jax.config import Config
 from ear_jax.presets import preset_config
 from ear_jax.runs import training
@@ -53,4 +55,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("sweep", main))

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 from ear_jax.runs import records
 
 RECORDS = common.RESULTS.parent.parent / "experiments" / "records"
@@ -69,4 +71,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("time_to_return", main))

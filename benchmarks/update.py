@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +20,7 @@ import jax.numpy as jnp
 from jax.extend.core import Jaxpr, jaxprs_in_params
 
 from benchmarks import common
+from ear_jax.cli.exits import exit_code
 from ear_jax.learning.replay import Replay
 from ear_jax.learning.sac import Draws
 from ear_jax.learning.sac_state import SacState
@@ -156,4 +158,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(exit_code("update", main))

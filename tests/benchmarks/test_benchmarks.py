@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import os
 import shutil
 import subprocess
 import sys
@@ -89,6 +90,31 @@ def test_the_env_steps_of_a_command_include_its_evaluations(command, document, s
     assert adaptation.env_steps(command, document, episodes=3, steps=200) == steps
 
 
+@pytest.mark.parametrize(
+    ("words", "code", "error"),
+    [
+        ("time_to_return nowhere", 2, "nowhere is not a run directory"),
+        ("equal_bits nothing", 2, "unknown preset 'nothing'"),
+        ("figures --results nowhere", 1, "no results in nowhere"),
+    ],
+)
+def test_a_mistake_ends_in_one_line(words, code, error, tmp_path):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    name, *rest = words.split()
+    command = [sys.executable, "-m", f"benchmarks.{name}", *rest]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"{name}: {error}")
+    assert done.returncode == code
+
+
+def test_every_benchmark_with_arguments_ends_so():
+    for path in (ROOT / "benchmarks").glob("[!_]*.py"):
+        text = path.read_text()
+        if "common.arguments(__doc__)" in text or ("ArgumentParser(" in text and path.name != "common.py"):
+            assert f'sys.exit(exit_code("{path.stem}", main))' in text, path.name
+
+
 def test_scale_rewrites_its_document_from_the_committed_rows_alone(tmp_path, monkeypatch):
     written = []
     monkeypatch.setattr(scale, "against", lambda *_: None)
@@ -108,7 +134,7 @@ def test_scale_reads_rows_in_any_order(tmp_path):
 
     def costs_of(rows):
         path.unlink()
-        records.append_rows(path, [{name: value for name, value in row.items() if name != "checksum"} for row in rows])
+        records.append_rows(path, rows)
         return scale.costs(tmp_path)
 
     before = {**old, "commit": "before", "update_seconds": 99.0}
