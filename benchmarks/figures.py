@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator
 from benchmarks import common
 from ear_jax.cli.exits import exit_code
 from ear_jax.errors import RunError
-from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.figures.style import COLOURS, STYLE, legend_below, save_figure
 from ear_jax.runs import records
 
 Row = dict[str, Any]
@@ -67,7 +67,7 @@ def draw_physics(axes: Axes, rows: list[Row]) -> None:
     bars(axes, [_lines(family) for family in families], series, "env_steps_per_second")
     axes.set(ylabel="env steps per second", title="Physics, by engine and batch")
     _log_scale(axes)
-    axes.legend(frameon=False, fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    legend_below(axes, 3)
 
 
 def draw_ratios(axes: Axes, rows: list[Row]) -> None:
@@ -82,7 +82,7 @@ def draw_ratios(axes: Axes, rows: list[Row]) -> None:
     bars(axes, [_lines(family) for family in families], series, "ratio_to_raw")
     axes.axhline(TARGET, color="0.2", linewidth=1, linestyle="--", label=f"target, {TARGET}")
     axes.set(ylabel="speed / speed of raw mujoco.batch", title="Native engine inside jit, scan and vmap")
-    axes.legend(frameon=False, fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    legend_below(axes, 4)
 
 
 def draw_updates(axes: Axes, rows: list[Row]) -> None:
@@ -97,7 +97,7 @@ def draw_updates(axes: Axes, rows: list[Row]) -> None:
     axes.set(ylabel="time of one update (ms)", title="Gradient update and its matmuls")
     axes.margins(y=0.15)
     _log_scale(axes)
-    axes.legend(frameon=False, fontsize=7, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    legend_below(axes, 2)
 
 
 def draw_startup(axes: Axes, rows: list[Row]) -> None:
@@ -112,7 +112,7 @@ def draw_startup(axes: Axes, rows: list[Row]) -> None:
         floor = floor + seconds
     axes.set(xlabel="seconds from the command to the first metrics row", title="Start of `ear train`")
     axes.grid(axis="y", visible=False)
-    axes.legend(frameon=False, fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    legend_below(axes, 4)
 
 
 def draw_peers(axes: Axes, rows: list[Row]) -> None:
@@ -124,7 +124,7 @@ def draw_peers(axes: Axes, rows: list[Row]) -> None:
     bars(axes, [row["preset"] for row in rows], renamed, "ms")
     axes.set(ylabel="time of one update (ms)", title="The same update in plain PyTorch")
     _log_scale(axes)
-    axes.legend(frameon=False, fontsize=7, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    legend_below(axes, 4)
 
 
 def draw_adaptation(axes: Axes, rows: list[Row]) -> None:
