@@ -87,8 +87,9 @@ def main(picture: Path = PICTURE) -> None:
     documents.put(DOCUMENT, PLACE, trials(rows))
     families = list(dict.fromkeys(row["family"] for row in rows))
     with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(len(families), figsize=(9.6, 3.4 * len(families)), layout="constrained")
-        for axes, family in zip(grid, families, strict=True):
+        size = (9.6, 3.4 * len(families))
+        figure, grid = plt.subplots(len(families), figsize=size, layout="constrained", squeeze=False)
+        for axes, family in zip(grid.flat, families, strict=True):
             draw(axes, [row for row in rows if row["family"] == family])
         save_figure(figure, picture)
     print(picture)

@@ -170,8 +170,11 @@ def test_the_script_for_a_gpu_runs_to_its_end_in_small(tmp_path):
     assert (tmp_path / "gpu.png").exists()
 
 
-def test_no_part_of_the_picture_of_trials_lies_over_another(tmp_path, monkeypatch):
+@pytest.mark.parametrize("family", ["", "hopper-vel"], ids=["all families", "one family"])
+def test_no_part_of_the_picture_of_trials_lies_over_another(family, tmp_path, monkeypatch):
     found = []
+    rows = [row for row in records.read_rows(common.RESULTS / "recipe.jsonl") if row["family"].startswith(family)]
+    monkeypatch.setattr(recipe.records, "read_rows", lambda _: rows)
     monkeypatch.setattr(recipe, "save_figure", lambda figure, path: found.extend(overlaps(figure)))
     monkeypatch.setattr(recipe.documents, "put", lambda *_: None)
     recipe.main(tmp_path / "recipe.png")
