@@ -12,6 +12,7 @@ import numpy as np
 
 from ear_jax.envs.expression import parse_expression
 from ear_jax.envs.family import Family, Outcome
+from ear_jax.envs.user_code import user_code
 from ear_jax.errors import UsageError, plain
 from ear_jax.tasks import Task, TaskParams, TaskSet, task_set
 
@@ -26,12 +27,15 @@ def reward_functions(family: Family, rewards: Sequence[Reward | str]) -> list[Re
       rewards: expressions over its outcomes (`expression`), or functions of one outcome.
 
     Raises:
-      UsageError: an expression has a mistake, a function returns no scalar, or a reward is given twice.
+      UsageError: an expression has a mistake, a function fails or returns no scalar, a reward is given twice, or none.
     """
+    if isinstance(rewards, str) or callable(rewards) or not len(rewards):
+        raise UsageError("give a list of at least one reward")
     shapes = family.outcome_shapes
     functions = [parse_expression(reward, shapes) if isinstance(reward, str) else reward for reward in rewards]
     for function in functions:
-        shape = jax.eval_shape(lambda outcome, function=function: jnp.asarray(function(outcome)), shapes).shape
+        with user_code(f"reward {plain(name_of(function))} of the outcomes {', '.join(shapes)} fails", None):
+            shape = jax.eval_shape(lambda outcome, function=function: jnp.asarray(function(outcome)), shapes).shape
         if shape != ():
             raise UsageError(f"reward {name_of(function)} must be a scalar, not an array of shape {shape}")
     names = [name_of(function) for function in functions]

@@ -137,3 +137,17 @@ def vectors():
         return jnp.ones(2)
 
     return cost
+
+
+@pytest.mark.parametrize(
+    ("rewards", "complaint"),
+    [
+        ([lambda outcome: outcome["actoin"]], r"reward <lambda> of the outcomes .*action.* fails: KeyError: 'actoin'"),
+        ([lambda outcome: 1 if outcome["action"] > 0 else 0], r"use jnp\.where for `if`"),
+        ([], "give a list of at least one reward"),
+        (lambda outcome: outcome["action"], "give a list of at least one reward"),
+    ],
+)
+def test_functions_that_are_no_rewards_are_refused(rewards, complaint):
+    with pytest.raises(UsageError, match=complaint):
+        reward_functions(Bandit("native"), rewards)

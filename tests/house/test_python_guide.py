@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import re
 from pathlib import Path
 
@@ -28,3 +30,11 @@ def test_the_documents_program_runs(tmp_path, monkeypatch):
     ((config, directory),) = trained
     training.make_program(config)  # which checks the settings
     assert (config.seed, config.sac.lte_noise, directory) == (1, 0.0, Path("runs/mine"))
+
+
+def test_the_calls_in_its_table_can_be_made():
+    rows = re.findall(r"^\| `ear [^|]*\| `(\w+)` \| `(\w+)\((.*?)\)` \|", DOCUMENT.read_text(), re.MULTILINE)
+    assert len(rows) == 11
+    for module, function, arguments in rows:
+        called = inspect.signature(getattr(importlib.import_module(f"ear_jax.embeddings.{module}"), function))
+        assert [*called.bind(*arguments.split(", ")).arguments] == arguments.split(", ")
