@@ -194,7 +194,7 @@ def _train_blocks(
             steps_rate, updates_rate = (config.seeds * number / block_seconds for number in (steps, updates))
             bar.update(epoch, mean_return, steps_rate, updates_rate)
     if signal is not None:
-        say(f"stopped at epoch {epoch}; the same command continues")
+        say(f"stopped at epoch {epoch}" + (", the last" if epoch == config.epochs else "; the same command continues"))
         raise Stopped(signal)
 
 
