@@ -233,7 +233,8 @@ def _program(holder: Path, about: dict[str, Any], family: str | None, engine: st
     except UsageError as error:
         raise RunError(f"{holder} has settings that cannot be used: {error}") from None
     if family is None and config.family not in FAMILIES:
-        raise UsageError(f"{holder} uses a family from outside ear_jax; to run its code, add --family {config.family}")
+        asked = f"--family {config.family}, in Python family={config.family!r}"
+        raise UsageError(f"{holder} uses a family from outside ear_jax; to run its code, add {asked}")
     if family is not None and family.rpartition(":")[2] != config.family.rpartition(":")[2]:
         raise UsageError(f"{holder} was trained on family {config.family}, not {family}")
     program = training.make_program(replace(config, family=family or config.family, engine=engine))
