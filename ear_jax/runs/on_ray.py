@@ -140,6 +140,8 @@ def _carry_out(
                 break
             except BlockingIOError:
                 time.sleep(0.5)
+            except OSError:  # no locks here, so none is held
+                break
     environment = {**os.environ, **variables, PARENT: str(os.getpid())}
     code: int | None = -signal.SIGKILL
     for _ in range(3):
