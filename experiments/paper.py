@@ -231,7 +231,8 @@ OURS = (
     Experiment(
         "reach",
         "Metaworld-Reach: returns, and goals between goals",
-        methods((REACH,), EVALUATION, INTERPOLATION) + methods((REACH,), EVALUATION, agents=("multihead", "onehot")),
+        methods((REACH,), EVALUATION, INTERPOLATION)
+        + methods((REACH,), EVALUATION, agents=("pearl", "multihead", "onehot")),
     ),
 )
 EXPERIMENTS = {experiment.id: experiment for experiment in (*TABLES, *FIGURES, *OURS)}
