@@ -156,7 +156,7 @@ class EnvConfig:
     """Options of single families."""
 
     lateral_weight: Annotated[float | None, _given("FLOAT", "0")] = None
-    """Ant-Dir: weight of the penalty on lateral speed (the authors' code: 0, the paper's text: 1)."""
+    """Ant-Dir: weight of the penalty on lateral speed (the authors' code: 0; the paper's text gives no weight)."""
     jump_height: Annotated[Literal["hind_foot", "torso"] | None, _given("{hind_foot,torso}", "hind_foot")] = None
     """HalfCheetah-Run-Jump: body whose height is rewarded (the paper: hind foot, the authors' code: torso)."""
 

@@ -45,6 +45,15 @@ def test_the_papers_one_hot_is_held_against_ours_with_it_and_without(place):
     assert f"HalfCheetah-Vel: OHE-SAC {ours}; the paper's OHE-SAC −609.0 ± 8.10." in said
 
 
+def test_the_papers_comparisons_are_set_beside_ours(place):
+    for seed in (0, 1):
+        record(seed=seed, level=-150 - seed)
+        record(agent="onehot", seed=seed, level=-200)
+    said = section("comparison", place / "out")
+    assert "than one of OHE-SAC on the same task is 1.00 [1.00, 1.00] on HalfCheetah-Vel; chance is 0.5." in said
+    assert "LTE noise against failures" not in said, "without runs there is nothing to compare"
+
+
 def test_of_seeds_trained_side_by_side_it_is_told_how_many_and_where(place):
     path = record(seeds=2) / "config.json"
     made = json.loads(path.read_text())
