@@ -16,7 +16,7 @@ from ear_jax.errors import counted, plain
 from ear_jax.process.terminal import phase, say
 from ear_jax.runs import records
 
-MOST_NAMED = 30  # tasks with falls that one line names
+MOST_NAMED = 30  # tasks with episodes that ended early, which one line names
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,22 +79,22 @@ def keep_evaluation(run: Path, evaluation: dict[str, Any], label: str = "") -> l
 
 
 def print_evaluation(evaluation: dict[str, Any]) -> None:
-    """Prints a table of the tasks, with one number per seed, and the falls."""
+    """Prints a table of the tasks, with one number per seed, and the episodes that ended early."""
     commanded, rows = evaluation["commanded"], []
     for tasks in zip(*(seed["tasks"] for seed in evaluation["seeds"]), strict=True):
         achieved = " / ".join(f"{task['outcome'][commanded['outcome']]:.2f}" for task in tasks)
         returns = " / ".join(f"{task['return_mean']:.1f}" for task in tasks)
         failures = " / ".join(str(task["failures"]) for task in tasks)
         rows.append((tasks[0]["name"], achieved, returns, failures))
-    headings = ("task", f"{commanded['outcome']} ({commanded['unit']})>", "return>", "falls>")
+    headings = ("task", f"{commanded['outcome']} ({commanded['unit']})>", "return>", "ended early>")
     print_table(headings, rows, f"{evaluation['run']}: mean return {evaluation['mean_return']:.1f}")
     if "untuned_return" in evaluation["seeds"][0]:
         shared = " / ".join(f"{seed['untuned_return']:.1f}" for seed in evaluation["seeds"])
         print(f"Before the gradient step in each task: mean return {shared}")
-    print(plain(falls(evaluation)))
+    print(plain(ended_early(evaluation)))
 
 
-def falls(evaluation: dict[str, Any]) -> str:
+def ended_early(evaluation: dict[str, Any]) -> str:
     """Summarises in one line the tasks that had episodes which ended before the time limit."""
     several, episodes = len(evaluation["seeds"]) > 1, evaluation["episodes"]
     tasks = [
@@ -102,8 +102,8 @@ def falls(evaluation: dict[str, Any]) -> str:
         for seed in evaluation["seeds"]
         for task in seed["tasks"]
     ]
-    fallen = [f"{name} in {count} of {episodes} episodes" for name, count in tasks if count]
-    if not fallen:
-        return f"No falls: all {len(tasks) * episodes} episodes ran their {evaluation['episode_length']} steps"
-    others = [f"and {len(fallen) - MOST_NAMED} more"] if len(fallen) > MOST_NAMED else []
-    return f"{len(fallen)} of {len(tasks)} tasks had falls: {', '.join(fallen[:MOST_NAMED] + others)}"
+    early = [f"{name} {count} of {episodes}" for name, count in tasks if count]
+    if not early:
+        return f"All {len(tasks) * episodes} episodes ran their {evaluation['episode_length']} steps"
+    others = [f"and {len(early) - MOST_NAMED} more tasks"] if len(early) > MOST_NAMED else []
+    return f"Episodes ended early in {len(early)} of {len(tasks)} tasks: {', '.join(early[:MOST_NAMED] + others)}"

@@ -59,7 +59,7 @@ def main(words: list[str]) -> None:
     _check(command)
     trained = command.load()
     from ear_jax.embeddings.course import course_of
-    from ear_jax.embeddings.follow import Plan, follow_course
+    from ear_jax.embeddings.follow import SplineSearch, follow_course
     from ear_jax.embeddings.survey import PLACES, find_survey
     from ear_jax.figures.follow import draw_follow
 
@@ -72,10 +72,10 @@ def main(words: list[str]) -> None:
     course = course_of(trained.program.family, command.profile, command.path, survey)
     if not course.is_path:
         _warn_beyond(survey, course, trained.program.family)
-    plan = Plan(command.every, command.epochs, command.candidates, command.sigma, command.starts)
+    search = SplineSearch(command.every, command.epochs, command.candidates, command.sigma, command.starts)
     search = f"searching in {command.epochs} epochs of {command.candidates} splines"
     with phase("meeting way-points" if course.is_path else search):
-        document, trajectories = follow_course(trained, survey, course, plan, command.episodes, command.seed)
+        document, trajectories = follow_course(trained, survey, course, search, command.episodes, command.seed)
     document["survey_env_steps"] = env_steps
     label = label_of(command)
     kept = partial(keep, trained.directory, "following", label, document, draw_follow)

@@ -32,22 +32,22 @@ from ear_jax.tasks import any_task
 
 CHOICES = 4000  # codes that a look-up chooses from
 NEAR = 0.02  # of the range of what is followed: a look-up gives up so much for an LTE one radian nearer to the last
-ELITES = 8  # plans that the next epoch is drawn around
-LEAST = 0.01  # standard deviation of a plan's coordinates below which it does not fall
+ELITES = 8  # splines that the next epoch is drawn around
+LEAST = 0.01  # standard deviation of a knot's coordinates below which it does not fall
 MEASURES = ("errors", "costs", "ends")  # of a course
 
 Play = Callable[[np.ndarray, np.ndarray], dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Plan:
+class SplineSearch:
     """Settings of the search for a spline."""
 
     every: float = 0.5  # seconds between knots
     epochs: int = 10
     candidates: int = 32
     sigma: float = 0.2  # standard deviation of a knot's coordinates in the first epoch
-    starts: int = 1  # random starts that each plan is played from
+    starts: int = 1  # random starts that each spline is played from
 
 
 def spline(knots: np.ndarray, steps: int) -> np.ndarray:
@@ -83,7 +83,7 @@ def look_up(survey: Survey, index: int, course: Course, steps: int) -> np.ndarra
 
 
 def follow_course(
-    trained: Trained, survey: Survey, course: Course, plan: Plan, episodes: int, seed: int
+    trained: Trained, survey: Survey, course: Course, search: SplineSearch, episodes: int, seed: int
 ) -> tuple[dict[str, Any], dict[str, Trajectory]]:
     """Follows a course with every seed's policy, beside the plain look-up.
 
@@ -91,7 +91,7 @@ def follow_course(
       trained: the run.
       survey: a survey of its sphere.
       course: what is to be followed.
-      plan: settings of the search for a profile's spline, which begins at the look-up.
+      search: settings of the search for a profile's spline, which begins at the look-up.
       episodes: fresh starts from which both are played.
       seed: seeds everything.
 
@@ -104,46 +104,48 @@ def follow_course(
     """
     began = time.perf_counter()
     program, steps, seeds = trained.program, len(course.wanted), range(trained.program.config.seeds)
-    width = max(2 * episodes, 0 if course.is_path else plan.candidates * plan.starts)
+    width = max(2 * episodes, 0 if course.is_path else search.candidates * search.starts)
     check_rollouts(program, len(seeds) * width, steps + 1, program.family.model.nq)
     looked_up = np.stack([look_up(survey, index, course, steps) for index in seeds])
-    play = _player(trained, survey, course, width, plan.starts + episodes, seed)
+    play = _player(trained, survey, course, width, search.starts + episodes, seed)
 
     if course.is_path:
         names, codes, about = ("look-up", "pursuit"), np.stack([looked_up, looked_up], axis=1), {}
     else:
-        count = max(2, round(steps * program.family.dt / plan.every) + 1)
+        count = max(2, round(steps * program.family.dt / search.every) + 1)
         begin = looked_up[:, np.linspace(0, steps - 1, count).astype(int)]
-        knots, costs = search_spline(play, begin, steps, plan, seed)
+        knots, costs = search_spline(play, begin, steps, search, seed)
         names, codes = ("look-up", "spline"), np.stack([looked_up, spline(knots, steps)], axis=1)
         about = {"knots": knots, "costs": costs}
-    played = play(codes, plan.starts + np.arange(episodes))
+    played = play(codes, search.starts + np.arange(episodes))
     document = {**_describe(trained, course, names, played, about), "episodes": episodes}
-    document["env_steps"] = len(seeds) * plan.epochs * plan.candidates * plan.starts * steps if about else 0
+    document["env_steps"] = len(seeds) * search.epochs * search.candidates * search.starts * steps if about else 0
     document["seconds"] = round(time.perf_counter() - began, 2)
     return document, {name: _trajectory(program, played, row) for row, name in enumerate(names)}
 
 
-def search_spline(play: Play, begin: np.ndarray, steps: int, plan: Plan, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def search_spline(
+    play: Play, begin: np.ndarray, steps: int, search: SplineSearch, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Searches by the cross-entropy method for the knots of the spline of least cost, over all knots at once.
 
     Args:
       play: plays codes from starts, as `_player` makes it.
       begin: knots to begin at [seeds, knots, code].
       steps: of the course.
-      plan: the settings.
+      search: the settings.
       seed: seeds the candidates.
 
     Returns:
       The best knots [seeds, knots, code], and the least cost of each epoch [seeds, epochs], mean over its starts.
     """
     rng = np.random.default_rng(seed)
-    mean, deviation, best = begin, np.full(begin.shape, plan.sigma), begin
+    mean, deviation, best = begin, np.full(begin.shape, search.sigma), begin
     least, curve = np.full(len(begin), np.inf), []
-    for _ in range(plan.epochs):
-        noise = rng.standard_normal((len(begin), plan.candidates - 1, *begin.shape[1:]))
+    for _ in range(search.epochs):
+        noise = rng.standard_normal((len(begin), search.candidates - 1, *begin.shape[1:]))
         knots = _on_sphere(np.concatenate([mean[:, None], mean[:, None] + deviation[:, None] * noise], axis=1))
-        costs = play(spline(knots, steps), np.arange(plan.starts))["costs"].mean(axis=-1)  # [seeds, candidates]
+        costs = play(spline(knots, steps), np.arange(search.starts))["costs"].mean(axis=-1)  # [seeds, candidates]
         order = np.argsort(costs, axis=1)[:, :ELITES]
         elites = np.take_along_axis(knots, order[..., None, None], axis=1)
         lowest = np.take_along_axis(costs, order[:, :1], axis=1)[:, 0]

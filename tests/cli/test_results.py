@@ -1,4 +1,4 @@
-"""The last steps of a command: files in the run's directory, text or one JSON document, and falls in one line."""
+"""The last steps of a command: files in the run's directory, text or one JSON document, and early ends."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from ear_jax.cli.completion import commands
-from ear_jax.cli.evaluate import falls
+from ear_jax.cli.evaluate import ended_early
 from ear_jax.cli.explore import name as explore_name
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import UNLABELLED, keep, label_of, show_and_keep
@@ -121,20 +121,20 @@ def test_what_a_name_tells_already_is_not_repeated():
 @pytest.mark.parametrize(
     ("failures", "line"),
     [
-        ([[0, 0]], "No falls: all 6 episodes ran their 200 steps"),
-        ([[0, 2]], "1 of 2 tasks had falls: vel-2 in 2 of 3 episodes"),
+        ([[0, 0]], "All 6 episodes ran their 200 steps"),
+        ([[0, 2]], "Episodes ended early in 1 of 2 tasks: vel-2 2 of 3"),
         (
             [[1, 0], [0, 3]],
-            "2 of 4 tasks had falls: vel-1 (seed 7) in 1 of 3 episodes, vel-2 (seed 8) in 3 of 3 episodes",
+            "Episodes ended early in 2 of 4 tasks: vel-1 (seed 7) 1 of 3, vel-2 (seed 8) 3 of 3",
         ),
         (
             [[2] * 40],
-            f"40 of 40 tasks had falls: {', '.join(f'vel-{task} in 2 of 3 episodes' for task in range(1, 31))}, "
-            "and 10 more",
+            f"Episodes ended early in 40 of 40 tasks: {', '.join(f'vel-{task} 2 of 3' for task in range(1, 31))}, "
+            "and 10 more tasks",
         ),
     ],
 )
-def test_falls_are_named(failures, line):
+def test_tasks_with_episodes_that_ended_early_are_named(failures, line):
     seeds = [
         {
             "seed": 7 + row,
@@ -142,4 +142,4 @@ def test_falls_are_named(failures, line):
         }
         for row, counts in enumerate(failures)
     ]
-    assert falls({"episodes": 3, "episode_length": 200, "seeds": seeds}) == line
+    assert ended_early({"episodes": 3, "episode_length": 200, "seeds": seeds}) == line

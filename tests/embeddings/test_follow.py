@@ -13,7 +13,7 @@ from ear_jax.agents.tanh_gaussian import Gaussian
 from ear_jax.config import Config
 from ear_jax.embeddings.codes import fibonacci_sphere
 from ear_jax.embeddings.course import PACE, course_of, path_course, profile_course
-from ear_jax.embeddings.follow import Plan, follow_course, look_up, ring_of, search_spline, spline
+from ear_jax.embeddings.follow import SplineSearch, follow_course, look_up, ring_of, search_spline, spline
 from ear_jax.embeddings.pursuit import LEAD, Pursuit
 from ear_jax.embeddings.survey import Survey
 from ear_jax.envs.ant_dir import AntDir
@@ -71,8 +71,8 @@ def test_the_search_finds_the_optimum():
     def play(codes, index):
         return {"costs": ((codes[..., 0] - wanted) ** 2).mean(axis=-1, keepdims=True)}
 
-    begin, plan = np.tile([0.0, 0.0, 1.0], (2, 5, 1)), Plan(epochs=20, candidates=48)
-    knots, costs = search_spline(play, begin, 200, plan, 0)
+    begin, search = np.tile([0.0, 0.0, 1.0], (2, 5, 1)), SplineSearch(epochs=20, candidates=48)
+    knots, costs = search_spline(play, begin, 200, search, 0)
     np.testing.assert_allclose(knots[..., 0], [np.linspace(-0.5, 0.5, 5)] * 2, atol=0.1)
     assert costs.shape == (2, 20)
     assert (costs[:, 0] > 10 * costs.min(axis=1)).all()
@@ -100,7 +100,7 @@ def test_way_points_are_met_from_where_the_robot_is(puck):
     trained, survey = puck
     course = course_of(trained.program.family, None, "2 0, 2 2, 0 2, 0 0", survey)
     assert course.speed == pytest.approx(PACE * np.sqrt(0.75), abs=0.01)  # half of a sphere lies below that radius
-    document, trajectories = follow_course(trained, survey, course, Plan(), 2, 0)
+    document, trajectories = follow_course(trained, survey, course, SplineSearch(), 2, 0)
     way = document["seeds"][0]["ways"]["pursuit"]
     cut = LEAD * course.speed
     assert cut / 2 < way["error"] < 1.2 * cut
