@@ -73,8 +73,8 @@ def main(words: list[str]) -> None:
     if not course.is_path:
         _warn_beyond(survey, course, trained.program.family)
     search = SplineSearch(command.every, command.epochs, command.candidates, command.sigma, command.starts)
-    search = f"searching in {command.epochs} epochs of {command.candidates} splines"
-    with phase("meeting way-points" if course.is_path else search):
+    searching = f"searching in {command.epochs} epochs of {command.candidates} splines"
+    with phase("meeting way-points" if course.is_path else searching):
         document, trajectories = follow_course(trained, survey, course, search, command.episodes, command.seed)
     document["survey_env_steps"] = env_steps
     label = label_of(command)

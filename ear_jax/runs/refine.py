@@ -52,7 +52,7 @@ class Refinement:
 
 @dataclass(frozen=True)
 class Progress:
-    """What a refinement has reached so far."""
+    """Returns and seconds of a refinement so far."""
 
     before: list[list[float]]  # returns of the policies that it began with, [seeds, tasks]
     iteration: int = 0
