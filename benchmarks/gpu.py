@@ -1,4 +1,4 @@
-"""Everything that is to be known on a GPU, in eight minutes: updates, collection, epochs, a run, and a page of figures.
+"""All measurements on a GPU, in eight minutes: updates, collection, epochs, a run, and a page of figures.
 
     make bench-gpu            # or: python -m benchmarks.gpu --minutes 8 --results FOLDER
 

@@ -1,8 +1,8 @@
 """Time and memory of training against the number of seeds and of tasks, each size in a process of its own.
 
-Batch, replay and environments are those of `fast` for every task, so all that could grow with the tasks does. Seconds
-are of the processor, which other programs of the machine change less than the wall's. `growth` is the exponent between
-the two sizes of a pair: 1 is linear.
+Batch and environments are those of `fast` for every task, and the replay holds five epochs, so all that could grow with
+the tasks does. Seconds are of the processor, which other programs of the machine change less than the wall's. `growth`
+is the exponent between the two sizes of a pair: 1 is linear.
 """
 
 from __future__ import annotations
@@ -182,8 +182,8 @@ def plan(rows: list[dict[str, Any]], saving: dict[str, Any]) -> str:
     epoch = factor * (largest["collect_seconds"] + config.sac.updates * largest["update_seconds"])
     held = config.replay.capacity / (10 * config.collect.envs * config.collect.steps) / EPOCHS_HELD
     return (
-        f"**On paper, 1,000 seeds** of HalfCheetah-Vel under `fast` are {1000 * hours:,.0f} core-hours on a CPU "
-        f"without evaluations, {1000 * saving['megabytes'] / 1e3:.0f} GB of state over all hosts and for each "
+        f"**On paper, 1,000 seeds** of HalfCheetah-Vel under `fast` take {1000 * hours:,.0f} core-hours on a CPU "
+        f"without evaluations, and {1000 * saving['megabytes'] / 1e3:.0f} GB of state, over all hosts and in each "
         "checkpoint. Hosts hardly talk, so the first limit is the checkpoint: process 0 alone computes its checksums "
         "while the others wait, and the file system is shared. `--checkpoint.blocks` spaces checkpoints out. "
         f"**On paper, 1,000 tasks** need {factor * held * largest['state_bytes'] / 1e9:.0f} GB for a replay as long "

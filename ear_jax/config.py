@@ -102,7 +102,7 @@ class SacConfig:
     initial_temperature: float = 1.0
     """Initial weight of the entropy, which is then learnt."""
     max_grad_norm: float = 10.0
-    """Global norm at which each network's gradient is clipped."""
+    """Global norm at which the gradients of the policy, of each critic and of the temperature are clipped."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class MamlConfig:
     discount: float = 0.99
     """Discount factor γ of MAML's returns."""
     gae_lambda: float = 1.0
-    """λ of MAML's advantages: 1 counts on all later rewards, less on a baseline of them, which is less noisy."""
+    """λ of MAML's advantages: 1 uses all later rewards; less relies more on a baseline, which is less noisy."""
 
 
 @dataclass(frozen=True)

@@ -160,7 +160,7 @@ COMMANDS = {"list": list_all, "reproduce": reproduce, "keep": keep_run, "report"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130 or 143 (stopped, and saved)."""
+    """Runs one command line; returns the exit code: 0, 1, 2 (usage), 130, 143 or 129 (stopped, and saved)."""
     words = sys.argv[1:] if arguments is None else arguments
     stop_with_parent()
     return exit_code("experiments", lambda: _run(words))

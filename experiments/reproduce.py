@@ -99,7 +99,7 @@ def complete_on_ray(jobs: list[Job], words: list[str], cores: int) -> None:
 
 
 def pause() -> None:
-    """Waits before it is looked again whether other processes are still working."""
+    """Waits before the next look at whether other processes are still working."""
     time.sleep(PAUSE)
 
 

@@ -45,7 +45,7 @@ def squared_error(prediction: jax.Array, target: jax.Array) -> jax.Array:
 
 @dataclass(frozen=True)
 class Critic:
-    """One critic as functions of one item: obs [obs], action [act], task [tasks] or [code]. Learners train two.
+    """One critic as functions of one item: obs [obs], action [act], task [tasks], [code] or both. Learners train two.
 
     By default a prediction is Q. A critic that predicts a distribution defines its own `value`, `target` and `loss`.
     """
@@ -111,7 +111,7 @@ def task_critic(obs_size: int, action_size: int, task_size: int, config: Config,
       action_size: the size of an action.
       task_size: the size of what the critic sees of the task.
       config: the settings.
-      one_hot: the size of the one-hot with which that begins, if there is one.
+      one_hot: the size of the one-hot at the start of the task, if there is one.
     """
     bins = config.network.critic_bins
     before, inputs = obs_size + action_size, obs_size + action_size + task_size

@@ -30,8 +30,8 @@ CARD = "README.md"  # where model hubs look for it
 class ExportCommand:
     """Write a run's newest policy to one file, without its replay.
 
-    A .safetensors file takes the place of a run in every command. An .onnx file runs where there is no JAX: it takes
-    LTEs and observations, and returns actions.
+    A .safetensors file takes the place of a run in every command that plays a policy. An .onnx file runs where there is
+    no JAX: it takes LTEs and observations, and returns actions.
 
     Example: ear export pretrained:hopper-vel hopper.onnx --card
     """

@@ -37,4 +37,4 @@ def main(words: list[str]) -> None:
     print_table(("name", "agent", "trained", "return>", "of seeds (mean)>", "tasks met>"), rows)
     print("A task is met if no episode ends early and the error is less than half the distance to the next task.")
     print("Tasks without a target are not counted. --json prints every task, and the rest of each agent's card.")
-    print("`ear demo --pretrained NAME` shows an agent at work; every command that takes a run takes pretrained:NAME.")
+    print("`ear demo --pretrained NAME` shows an agent at work; commands that play a policy take pretrained:NAME.")

@@ -28,11 +28,11 @@ class RefineCommand(OnRun):
     """
 
     file: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE")]]
-    """The new file, which must end in .safetensors; it takes the place of a run in every command."""
+    """The new file, which must end in .safetensors; every command that plays a policy takes it as a run."""
     iterations: int = 300
     """Iterations, each of fresh episodes and of updates from them."""
     iteration_episodes: int = 80
-    """Episodes of an iteration, shared evenly by the tasks."""
+    """Episodes of an iteration, shared evenly by the tasks; each plays a whole number, rounded up."""
     divergence: float = 0.03
     """KL divergence by which an iteration changes the policy, at first; it falls to a tenth, and sets the step size."""
     noise: float = 0.5

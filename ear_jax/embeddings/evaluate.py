@@ -80,7 +80,7 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
 
     Args:
       trained: the run.
-      codes: one for each seed, [seeds, code].
+      codes: one for each seed, [seeds, code]; they are played projected onto the sphere, and reported as given.
       episodes: episodes per seed.
       seed: seeds the starts.
 

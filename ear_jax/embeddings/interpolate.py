@@ -149,7 +149,7 @@ def interpolate(
       The document that `ear interpolate --json` prints.
 
     Raises:
-      UsageError: as `play_blends`, or a target outside the range of the blends.
+      UsageError: as `play_blends`, or a target that no blend comes near.
     """
     reached = play_blends(trained, pairs, BETAS, episodes, seed, along)
     family = trained.program.family

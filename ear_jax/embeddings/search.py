@@ -25,9 +25,9 @@ class Search:
     """Settings of the cross-entropy method; the defaults are those of the authors' code."""
 
     epochs: int = 10
-    elites: int = 6
-    samples: int = 14
-    sigma: float = 0.5
+    elites: int = 6  # best candidates of an epoch, which the next begins from
+    samples: int = 14  # candidates drawn around each of them
+    sigma: float = 0.5  # standard deviation of each coordinate of a draw
 
     @property
     def candidates(self) -> int:

@@ -97,7 +97,13 @@ class FamilyVectorEnv(VectorEnv):
 
 
 class FamilyEnv(gymnasium.Env):
-    """One robot of a family on one task, by default the first training task; see `FamilyVectorEnv`."""
+    """One robot of a family on one task; steps and infos are as in `FamilyVectorEnv`, and no episode starts by itself.
+
+    Args:
+      family: a family's name, or path/to/file.py:ClassName.
+      task: a task's name; the first training task by default.
+      engine: physics engine: auto, native (CPU), mjx, mjx-fixed or warp.
+    """
 
     metadata: Infos = {"render_modes": []}  # noqa: RUF012
 
@@ -108,11 +114,13 @@ class FamilyEnv(gymnasium.Env):
         self.action_space = self._batch.single_action_space
 
     def reset(self, *, seed: int | None = None, options: Infos | None = None) -> tuple[np.ndarray, Infos]:
+        """Starts an episode at random; returns the observation [obs] and infos."""
         super().reset(seed=seed)
         obs, infos = self._batch.reset(seed=int(self.np_random.integers(2**31)))
         return obs[0], infos
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Infos]:
+        """Steps the robot with an action [act] in [−1, 1]; the observation [obs] is that of the state reached."""
         obs, reward, terminated, truncated, infos = self._batch.step(action[None])
         reached = infos["final_obs"][0] if "final_obs" in infos else None
         left_out = ("final_obs", "final_info")

@@ -82,10 +82,10 @@ class Family(Env):
 
     @abc.abstractmethod
     def training_tasks(self) -> TaskSet:
-        """Returns the paper's training tasks, in the order of their one-hots."""
+        """Returns the training tasks, in the order of their one-hots."""
 
     def spread_tasks(self, count: int) -> TaskSet:
-        """Returns `count` training tasks spread evenly over the paper's range; by default a family has none.
+        """Returns `count` training tasks spread evenly over its range; by default a family has none.
 
         Raises:
           UsageError: the family has no range.

@@ -71,7 +71,7 @@ def mean_valid(values: jax.Array, valid: jax.Array) -> jax.Array:
 
 
 def standardised(advantage: jax.Array, valid: jax.Array) -> jax.Array:
-    """Gives valid advantages mean 0 and spread 1, given 0 where not valid."""
+    """Standardises valid advantages; those that are not valid are 0, before and after."""
     count = jnp.maximum(jnp.sum(valid), 1)
     centred = jnp.where(valid, advantage - jnp.sum(advantage) / count, 0.0)
     return centred / (jnp.sqrt(jnp.sum(centred**2) / count) + 1e-8)

@@ -34,7 +34,7 @@ def draw_tasks(config: Config, tasks: int, key: jax.Array) -> jax.Array:
 
 
 def check_batch(config: Config, tasks: int) -> None:
-    """Raises UsageError for a batch that is not divisible by its tasks or a replay below one epoch."""
+    """Raises UsageError for a batch or a replay that does not fit the tasks, and for critics that cannot be built."""
     drawn = drawn_tasks(config, tasks)
     if config.sac.batch_size % drawn:
         lower = max(1, config.sac.batch_size // drawn) * drawn

@@ -44,7 +44,7 @@ class PearlDraws(Draws):
 class PearlLearner(SacLearner):
     """Trains an agent that infers its codes; critics see a task's code in place of its one-hot.
 
-    An update learns from a few of the tasks. It is that of a learner which has no others.
+    An update draws a few of the tasks, and is that of a learner which has no others.
     """
 
     def observe(self, policy: Params, buffer: Replay) -> Params:

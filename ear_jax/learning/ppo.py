@@ -224,7 +224,7 @@ class PpoLearner:
 
 
 def followed(lr: jax.Array, moved: jax.Array, wanted: jax.Array) -> jax.Array:
-    """Returns the next step size: smaller where the policy moved half as far again as wanted, else larger."""
+    """Returns the next step size: smaller above 1.5 times the wanted divergence, larger below wanted / 1.5."""
     lr = jnp.where(moved > 1.5 * wanted, lr / 1.5, jnp.where(moved < wanted / 1.5, lr * 1.5, lr))
     return jnp.clip(lr, *LR_RANGE)
 

@@ -16,8 +16,8 @@ from ear_jax.methods.onehot import UNREAD, onehot
 def onehot_blind(sizes: Sizes, config: Config) -> Agent:
     """Builds OHE-SAC whose policy and critics see zeros in place of the one-hot.
 
-    The authors' older code trains this by mistake, as its replay stores zeros for the one-hot. The paper's returns of
-    OHE-SAC are therefore those of a task-blind policy.
+    The authors' older code trains this by mistake, as its replay stores zeros for the one-hot. That would explain the
+    paper's returns of OHE-SAC.
     """
     seeing = onehot(sizes, config)
     assert seeing.critic

@@ -39,14 +39,14 @@ def load_model(filename: str) -> mujoco.MjModel:
 
 
 def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compiles a model made for MuJoCo before 3.17, as Gymnasium's are.
+    """Compiles a model made for MuJoCo 3.3 or older, as Gymnasium's are.
 
     MuJoCo warns about the deprecated `settotalmass` in a MUJOCO_LOG.TXT in the user's directory. The mass is therefore
     set on the compiled model, with identical constants.
 
-    A contact's margin is the sum of its two geoms' margins since MuJoCo 3.17, and was the larger one up to 3.3. All
-    geoms of these models have equal margins, so halving them restores the intended physics; otherwise the ant stands
-    1 cm higher.
+    A contact's margin is the sum of its two geoms' margins in MuJoCo 3.14 and later, and was the larger one up to 3.3.
+    All geoms of these models have equal margins, so halving them restores the intended physics; otherwise the ant
+    stands 1 cm higher.
     """
     total_mass = spec.compiler.settotalmass
     spec.compiler.settotalmass = -1

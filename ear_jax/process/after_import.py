@@ -1,4 +1,4 @@
-"""Calls made once a package is imported, by whomever: so that telling it about ours does not import it."""
+"""Calls made once anything imports a package, so that registering with it does not import it."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """One run over several hosts: a process on each of them, which trains seeds of its own.
 
 No program waits for another host: seeds are independent, and a global mesh only says which process has which. Between
-blocks processes exchange small JSON documents through JAX's coordination service. Process 0 writes what is written and
-decides what is decided. In a run on one host all of this is nothing.
+blocks processes exchange small JSON documents through JAX's coordination service. Process 0 does all writing and
+deciding. On one host none of this has any effect.
 
 Imports JAX in functions only: a process joins the others before JAX looks for devices.
 """
@@ -202,7 +202,7 @@ def _client() -> Any:
 
 @contextlib.contextmanager
 def parting() -> Iterator[None]:
-    """A context at whose end the processes part, if all have come to it; one that fails leaves the others."""
+    """A context at whose end all processes disconnect together; one that fails leaves the others."""
     try:
         yield
     except Stopped:

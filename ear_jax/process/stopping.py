@@ -125,7 +125,7 @@ def child_environment() -> dict[str, str]:
 
 
 def stop_with_parent() -> None:
-    """Makes the kernel send SIGTERM to this process when its parent ends, if that started it to be so."""
+    """Makes the kernel send SIGTERM to this process when its parent ends, if that used `child_environment`."""
     parent = os.environ.pop(PARENT, "")  # not for processes that this one starts
     if not parent:
         return

@@ -42,7 +42,8 @@ def collects_on_host(program: Program) -> bool:
     """Returns whether a run's environments step on the host while another device, or the same later, learns.
 
     Raises:
-      UsageError: `collect.overlap` is set and nothing can overlap, or several hosts would have to.
+      UsageError: `collect.overlap` is set and nothing can overlap; an on-policy method would collect beside an
+        accelerator, or several hosts would.
     """
     native, overlap = program.family.engine.name == "native", program.config.collect.overlap
     if native and hosts.count() > 1 and (overlap or on_accelerator()):

@@ -51,8 +51,8 @@ class Refinement:
 
 
 @dataclass(frozen=True)
-class Progress:
-    """Returns and seconds of a refinement so far."""
+class Curve:
+    """The learning curve of a refinement so far."""
 
     before: list[list[float]]  # returns of the policies that it began with, [seeds, tasks]
     iteration: int = 0
@@ -95,22 +95,22 @@ def refine(
     play = _player(trained, jax.random.split(key_play, count), episodes)
     about = {"of": trained.fingerprint, "seed": seed, "episodes": episodes, **asdict(settings)}
     if part is not None and part.exists():
-        state, progress = _read(part, state, about)
-        say(f"continuing {part} from iteration {progress.iteration}")
+        state, curve = _read(part, state, about)
+        say(f"continuing {part} from iteration {curve.iteration}")
     else:
-        progress = Progress(play(trained.policies).tolist())
+        curve = Curve(play(trained.policies).tolist())
     keep = partial(_write, part, about) if part is not None else None
-    state, progress = _improve(learner, settings, state, progress, jax.random.split(key_learn, count), keep)
+    state, curve = _improve(learner, settings, state, curve, jax.random.split(key_learn, count), keep)
     after = play(state.policy)
     cost, options = _cost(learner, settings), {"options": dict(settings.options)} if settings.options else {}
-    refined = replace(trained, policies=state.policy, about=_about(trained, cost, options, progress, after))
+    refined = replace(trained, policies=state.policy, about=_about(trained, cost, options, curve, after))
     document = {
         "run": trained.name,
         "episodes": episodes,
         **cost,
         **options,
-        "seconds": round(progress.seconds, 2),
-        "seeds": [_describe(trained, index, progress, after) for index in range(count)],
+        "seconds": round(curve.seconds, 2),
+        "seeds": [_describe(trained, index, curve, after) for index in range(count)],
     }
     return refined, document
 
@@ -119,40 +119,40 @@ def _improve(
     learner: PpoLearner,
     settings: Refinement,
     state: PpoState,
-    progress: Progress,
+    curve: Curve,
     keys: jax.Array,
-    keep: Callable[[PpoState, Progress], None] | None,
-) -> tuple[PpoState, Progress]:
+    keep: Callable[[PpoState, Curve], None] | None,
+) -> tuple[PpoState, Curve]:
     """Makes the iterations that are left; between them it saves, and stops if a signal asks for it."""
     improve = jax.jit(jax.vmap(learner.improve, (0, None, 0)), compiler_options=compiler_options())
-    say(f"mean return before: {np.mean(progress.before):.1f}")
-    told = progress  # at the last line of progress
+    say(f"mean return before: {np.mean(curve.before):.1f}")
+    told = curve  # at the last line of progress
     with (
         StopRequest(say, "iteration") as request,
-        TrainingBar(progress.iteration, settings.iterations, "iteration") as bar,
+        TrainingBar(curve.iteration, settings.iterations, "iteration") as bar,
     ):
-        while progress.iteration < settings.iterations:
-            began, number = time.perf_counter(), progress.iteration
+        while curve.iteration < settings.iterations:
+            began, number = time.perf_counter(), curve.iteration
             of_iteration = jax.vmap(jax.random.fold_in, (0, None))(keys, number)
             state, metrics = improve(state, jnp.float32(settings.divergence(number)), of_iteration)
             if not np.isfinite(np.asarray(metrics["divergence"])).all():
                 raise RunError(f"the policy is not finite after iteration {number + 1}; try a smaller --divergence")
             returns = np.asarray(metrics["returns"]).mean(axis=-1).tolist()
             seconds = time.perf_counter() - began
-            progress = Progress(progress.before, number + 1, progress.seconds + seconds, (*progress.returns, returns))
-            ended = progress.iteration == settings.iterations
+            curve = Curve(curve.before, number + 1, curve.seconds + seconds, (*curve.returns, returns))
+            ended = curve.iteration == settings.iterations
             signal = None if ended else request.signal
-            if keep and (signal or ended or progress.iteration % BLOCK == 0):
-                keep(state, progress)
-            if ended or progress.iteration % BLOCK == 0:
-                rate = len(keys) * (progress.iteration - told.iteration) / (progress.seconds - told.seconds)
-                recent = float(np.mean(progress.returns[told.iteration :]))
-                bar.update(progress.iteration, recent, *(rate * each for each in _per_iteration(learner)))
-                told = progress
+            if keep and (signal or ended or curve.iteration % BLOCK == 0):
+                keep(state, curve)
+            if ended or curve.iteration % BLOCK == 0:
+                rate = len(keys) * (curve.iteration - told.iteration) / (curve.seconds - told.seconds)
+                recent = float(np.mean(curve.returns[told.iteration :]))
+                bar.update(curve.iteration, recent, *(rate * each for each in _per_iteration(learner)))
+                told = curve
             if signal is not None:
-                say(f"stopped at iteration {progress.iteration}" + "; the same command continues" * bool(keep))
+                say(f"stopped at iteration {curve.iteration}" + "; the same command continues" * bool(keep))
                 raise Stopped(signal)
-    return state, progress
+    return state, curve
 
 
 def _per_iteration(learner: PpoLearner) -> tuple[int, int]:
@@ -178,15 +178,15 @@ def _player(trained: Trained, keys: jax.Array, episodes: int) -> Callable[[Param
     return play
 
 
-def _write(part: Path, about: dict[str, Any], state: PpoState, progress: Progress) -> None:
+def _write(part: Path, about: dict[str, Any], state: PpoState, curve: Curve) -> None:
     """Saves what has been reached."""
     arrays = {name: np.asarray(leaf) for name, leaf in named_leaves(state).items()}
-    arrays[RETURNS] = np.array(progress.returns, np.float32).reshape(progress.iteration, -1)
-    metadata = {"refinement": json.dumps(about), "course": json.dumps(asdict(replace(progress, returns=())))}
+    arrays[RETURNS] = np.array(curve.returns, np.float32).reshape(curve.iteration, -1)
+    metadata = {"refinement": json.dumps(about), "course": json.dumps(asdict(replace(curve, returns=())))}
     safetensors.write(part, arrays, {**metadata, "sha256": safetensors.digest(arrays, metadata)})
 
 
-def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, Progress]:
+def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, Curve]:
     """Reads what `_write` has saved; raises UsageError if it belongs to another refinement, RunError if damaged."""
     try:
         arrays, metadata = safetensors.read(part)
@@ -202,7 +202,7 @@ def _read(part: Path, like: PpoState, about: dict[str, Any]) -> tuple[PpoState, 
     if changed or first_difference(layout(named_leaves(like)), layout(arrays)):
         reason = "; ".join(changed) or "the policy has other sizes"
         raise UsageError(f"{part} is of another refinement ({reason}); give the same settings, or name another file")
-    return rebuild(like, arrays), Progress(**{**json.loads(metadata["course"]), "returns": tuple(returns)})
+    return rebuild(like, arrays), Curve(**{**json.loads(metadata["course"]), "returns": tuple(returns)})
 
 
 def _cost(learner: PpoLearner, settings: Refinement) -> dict[str, int]:
@@ -213,10 +213,10 @@ def _cost(learner: PpoLearner, settings: Refinement) -> dict[str, int]:
 
 
 def _about(
-    trained: Trained, cost: dict[str, int], options: dict[str, Any], progress: Progress, after: np.ndarray
+    trained: Trained, cost: dict[str, int], options: dict[str, Any], curve: Curve, after: np.ndarray
 ) -> dict[str, Any]:
     """Returns what a refined policy's file tells of it; the costs of earlier refinements are included."""
-    earlier, before = trained.about.get("refined", {}), np.array(progress.before)
+    earlier, before = trained.about.get("refined", {}), np.array(curve.before)
     refined = {
         **{name: value + earlier.get(name, 0) for name, value in cost.items()},
         **options,
@@ -226,14 +226,14 @@ def _about(
     return {**trained.about, "refined": refined}
 
 
-def _describe(trained: Trained, index: int, progress: Progress, after: np.ndarray) -> dict[str, Any]:
+def _describe(trained: Trained, index: int, curve: Curve, after: np.ndarray) -> dict[str, Any]:
     """Turns one seed's returns into its part of the document."""
     return {
         "seed": trained.program.config.seed + index,
         "tasks": trained.program.tasks.names,
-        "before": float(np.mean(progress.before[index])),
+        "before": float(np.mean(curve.before[index])),
         "after": float(after[index].mean()),
-        "returns_before": progress.before[index],
+        "returns_before": curve.before[index],
         "returns_after": after[index].tolist(),
-        "course": [round(returns[index], 3) for returns in progress.returns],
+        "course": [round(returns[index], 3) for returns in curve.returns],
     }

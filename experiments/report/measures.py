@@ -84,7 +84,7 @@ def chance_of_more(ours: Sequence[Run], theirs: Sequence[Run]) -> str | None:
 
 
 def successes(runs: Sequence[Run], measure: str, document: str = "interpolation") -> Count | None:
-    """Counts the pairs of neighbours that succeed at `fresh`, `mid_task` or `one_to_one`; None if no run tells."""
+    """Counts the pairs of neighbours that succeed at `fresh`, `mid_task` or `one_to_one`; None if no run has it."""
 
     def succeeded(run: Run) -> list[bool]:
         return [pair[measure] for pair in run.of_seed(document, "pairs") if measure in pair]
@@ -93,7 +93,7 @@ def successes(runs: Sequence[Run], measure: str, document: str = "interpolation"
 
 
 def fresh_error(family: str, runs: Sequence[Run]) -> float | None:
-    """Returns the mean distance from the value midway in fresh episodes of the blend found; None if no run tells."""
+    """Returns the mean distance from the value midway in fresh episodes of the blend found; None if no run has it."""
     pairs = [pair for run in runs for pair in run.of_seed("interpolation", "pairs") if "fresh_outcome" in pair]
     misses = [abs(difference(family, pair["fresh_outcome"], pair["target"])) for pair in pairs]
     return float(np.mean(misses)) if misses else None

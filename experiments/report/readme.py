@@ -82,7 +82,7 @@ def headline(index: RunIndex) -> str:
     return (
         f"**HalfCheetah-Vel: for {again} pairs of neighbouring trained speeds, a blend runs at the speed midway**, to "
         f"within {number(REACHED, 2)} {unit(CHEETAH)} in the mean of {FRESH} fresh episodes; over all pairs the mean "
-        f"error is {number(error, 2)} {unit(CHEETAH)}. Counted on the {PLAYED} by which the blend was chosen: {met} "
+        f"error is {number(error, 2)} {unit(CHEETAH)}. On the {PLAYED} by which the blend was chosen: {met} "
         f"(the paper: {printed(theirs)}). On the trained speeds the policy returns {returns(runs)}, {level} the "
         f"paper's {printed(paper)}, after {percent(steps, 0)} of the paper's env steps{_time(runs)}.{_refined(runs)}"
     )
@@ -120,7 +120,7 @@ RETURN = (
 )
 REFINED = (
     f"*Refined*: the return from {RefineCommand.episodes} fresh episodes a task after `ear refine` with [each family's "
-    "options](docs/refining.md#what-it-gives), which plays more env steps. If only some seeds were refined: the return "
+    "options](docs/refining.md#what-it-gives), which takes more env steps. If only some seeds were refined: the return "
     "of those seeds, before → after."
 )
 BLENDS = (

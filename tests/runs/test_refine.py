@@ -115,12 +115,12 @@ def test_what_is_kept_of_many_iterations_can_be_read(toy, tmp_path):
     """Their returns alone would fill the metadata that a file may have."""
     learner = refining.PpoLearner(toy.program.agent, toy.program.family, toy.program.tasks.params, SMALL.ppo)
     state = jax.vmap(learner.init)(toy.policies, jax.random.split(jax.random.key(0), 2))
-    progress = refining.Progress([[0.0, 1.0]] * 2, 40_000, 1.5, tuple([0.5 + number, -0.1] for number in range(40_000)))
+    curve = refining.Curve([[0.0, 1.0]] * 2, 40_000, 1.5, tuple([0.5 + number, -0.1] for number in range(40_000)))
     part = tmp_path / "refined.part"
-    refining._write(part, {}, state, progress)
+    refining._write(part, {}, state, curve)
     read = refining._read(part, state, {})[1]
-    assert (read.before, read.iteration, read.seconds) == (progress.before, progress.iteration, progress.seconds)
-    np.testing.assert_allclose(read.returns, progress.returns, rtol=1e-6)
+    assert (read.before, read.iteration, read.seconds) == (curve.before, curve.iteration, curve.seconds)
+    np.testing.assert_allclose(read.returns, curve.returns, rtol=1e-6)
 
 
 def test_costs_of_refinements_add_up(toy):
