@@ -15,13 +15,14 @@ from ear_jax.cli import train
 from ear_jax.cli.arguments import check_least, option
 from ear_jax.cli.results import keep, print_table, show_and_keep
 from ear_jax.config import Config, flag, flat, run_name
-from ear_jax.errors import UsageError, counted, hint, unknown
+from ear_jax.errors import RunError, UsageError, counted, hint, unknown
 from ear_jax.limits import check
 from ear_jax.presets import check_effect
 from ear_jax.process import hosts
 from ear_jax.process.hosts import Hosts
 from ear_jax.process.terminal import say
 from ear_jax.runs import sweep
+from ear_jax.runs.failure import NAME as REPORT
 from ear_jax.runs.failure import reported
 from ear_jax.runs.groups import group
 from ear_jax.runs.groups import read as read_records
@@ -78,7 +79,6 @@ class Trial:
 
 def main(words: list[str]) -> None:
     command, trials = read(words)
-    from ear_jax.runs.loop import Run, train_runs
     from ear_jax.runs.on_ray import load_ray
     from ear_jax.runs.side_by_side import programs
 
@@ -95,12 +95,31 @@ def main(words: list[str]) -> None:
         if command.on == "ray":
             train_on_ray(trials, directory, command.cores)
         for members in groups if command.on == "here" else ():
-            train_runs([Run(trial.config, directory / trial.name) for trial in members])
+            train_together(members, directory)
     if hosts.index() > 0:
         return
     document = sweep.describe(directory)
     kept = partial(keep, directory, Path(sweep.NAME).stem, "", document, draw)
     show_and_keep(document, command.json, _print, kept)
+
+
+def train_together(trials: Sequence[Trial], directory: Path) -> None:
+    """Trains trials side by side. One whose numbers were not finite stays failed, and other programs go on."""
+    from ear_jax.runs.loop import Run, train_runs
+
+    def failed() -> bool:
+        return all(reported(directory / trial.name) for trial in trials)
+
+    if failed():
+        for trial in trials:
+            say(f"{trial.name} failed before; delete {directory / trial.name / REPORT} to train it again")
+        return
+    try:
+        train_runs([Run(trial.config, directory / trial.name) for trial in trials])
+    except RunError as error:
+        if not failed():
+            raise
+        say(f"warning: {error}; the sweep goes on")
 
 
 def train_on_ray(trials: Sequence[Trial], directory: Path, cores: int) -> None:

@@ -8,15 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from ear_jax.errors import RunError
 from ear_jax.runs import records
 
 NAME = "failure.json"
 
 
 def reported(directory: Path) -> str | None:
-    """Returns the metric that a run's report names, or None if the run has left no report."""
+    """Returns the metric that a run's report names, or None if the run has left no report; raises RunError."""
     path = directory / NAME
-    return records.read_json(path)["not_finite"][0] if path.exists() else None
+    if not path.exists():
+        return None
+    metrics = records.read_json(path).get("not_finite")
+    if not (isinstance(metrics, list) and metrics and isinstance(metrics[0], str)):
+        raise RunError(f"{path} names no metric; delete it to train the run again")
+    return metrics[0]
 
 
 def forget(directory: Path) -> None:

@@ -29,14 +29,14 @@ from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_
 from ear_jax.runs.directory import check_place
 from ear_jax.runs.documents import differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
-from ear_jax.runs.failure import find_failure, forget, reported
+from ear_jax.runs.failure import find_failure, forget
 from ear_jax.runs.fastest import with_engine
 from ear_jax.runs.history import LOG, note_first_step, write_history
 from ear_jax.runs.lock import lock_directory
 from ear_jax.runs.on_host import collects_on_host, compile_on_host
 from ear_jax.runs.seeds import check_seeds, own_members, seed_sharding
 from ear_jax.runs.side_by_side import differing, join, keys_of, members, of_run, over_hosts
-from ear_jax.runs.starting_point import Progress, Run, agreed, ignore, prepare, reached
+from ear_jax.runs.starting_point import Progress, Run, agreed, given_up, ignore, prepare, reached
 from ear_jax.runs.tracking import tracking
 from ear_jax.runs.training import Program, TrainState
 
@@ -111,7 +111,9 @@ def _open(runs: Sequence[Run], program: Program, held: ExitStack) -> tuple[list[
             held.enter_context(lock_directory(run.directory, say))
         progress = reached(runs, program, ignore)  # another process may have trained meanwhile
         started = bool(progress.steps)
-        for index, (run, past) in enumerate(zip(runs, progress.histories, strict=True)):
+        for index, (run, out, past) in enumerate(zip(runs, given_up(runs), progress.histories, strict=True)):
+            if out:
+                continue
             run = prepare(run, program, past, started)
             opened[index] = replace(run, track=held.enter_context(tracking(run.directory, run.config, say)))
         if len(runs) == 1:
@@ -185,12 +187,12 @@ def _train_blocks(
             finite = sum(epoch_metrics.pop("finite_updates") for epoch_metrics in metrics)  # [own members, tasks]
             rows = rows_of(program, own_members(state.collected), epoch, clock(), metrics, episodes)
             of_hosts = hosts.gather([rows, finite.tolist(), request.signal])
-            last, signal = hosts.agree(partial(_close_block, runs, config, of_hosts, epoch - count, clock, request))
+            close = partial(_close_block, runs, config, of_hosts, epoch - count, clock, request)
+            last, signal, going, mean_return = hosts.agree(close)
             if last or blocks % config.checkpoint.blocks == 0:
-                for index, run in enumerate(runs):
-                    _save(run, of_run(state, index, len(runs)), epoch, last)
+                for index in going:
+                    _save(runs[index], of_run(state, index, len(runs)), epoch, last)
             steps, updates = count * program.env_steps_per_epoch, count * config.sac.updates
-            mean_return = float(np.mean(episodes.returns))
             steps_rate, updates_rate = (config.seeds * number / block_seconds for number in (steps, updates))
             bar.update(epoch, mean_return, steps_rate, updates_rate)
     if signal is not None:
@@ -213,8 +215,8 @@ def _close_block(
     before: int,
     clock: Callable[[], float],
     request: StopRequest,
-) -> tuple[bool, int | None]:
-    """Records a block's rows, by process 0; returns whether it is the last block, and the signal that makes it so.
+) -> tuple[bool, int | None, list[int], float]:
+    """Records a block's rows, by process 0.
 
     Args:
       runs: the runs side by side.
@@ -223,24 +225,31 @@ def _close_block(
       before: the epochs before the block.
       clock: returns the seconds trained.
       request: the signal of this process.
+
+    Returns:
+      Whether it is the last block, the signal that makes it so, the indices of the runs that go on, and their mean
+      return.
     """
     rows = [row for of_host in of_hosts for row in of_host[0]]
     finite = np.array([counts for of_host in of_hosts for counts in of_host[1]])
-    for index, run in enumerate(runs):
+    for index, (run, out) in enumerate(zip(runs, given_up(runs), strict=True)):
+        if out:
+            continue
         own = slice(index * run.config.seeds, (index + 1) * run.config.seeds)
         named = [{"seed": run.config.seed + number, **row} for number, row in enumerate(rows[own])]
         _record(run, named, finite[own], before * config.sac.updates, alone=len(runs) == 1)
-    if all(reported(run.directory) for run in runs):
+    going = [index for index, out in enumerate(given_up(runs)) if not out]
+    if not going:
         raise RunError("all runs failed")
+    returns = np.array([row["mean_return"] for row in rows]).reshape(len(runs), -1)
     signals = [request.signal, *(of_host[2] for of_host in of_hosts)]
     signal = next((number for number in signals if number is not None), None)
-    return _finished(config, rows[0]["epoch"], clock()) or signal is not None, signal
+    last = _finished(config, rows[0]["epoch"], clock()) or signal is not None
+    return last, signal, going, float(returns[going].mean())
 
 
 def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: int, alone: bool) -> None:
     """Writes a block's rows; a run whose metrics are not finite ends, unless others train beside it."""
-    if not alone and reported(run.directory):
-        return
     failure = find_failure(run.directory, rows, finite, before)
     if failure and alone:
         raise RunError(f"{failure}; checkpoints are unchanged, and the same command would fail again")

@@ -18,10 +18,12 @@ from ear_jax.runs import checkpoint
 from ear_jax.runs.checkpoint import Step
 from ear_jax.runs.directory import check_settings, check_tasks
 from ear_jax.runs.documents import about
+from ear_jax.runs.failure import NAME, reported
 from ear_jax.runs.history import FIRST, History, read_history, write_history
 from ear_jax.runs.training import Program
 
 Warn = Callable[[str], None]
+NO_HISTORY = History(None, {}, "", 0.0, damaged=False)
 
 
 @dataclass(frozen=True)
@@ -48,28 +50,44 @@ class Progress:
 def reached(runs: Sequence[Run], program: Program, warn: Warn) -> Progress:
     """Returns the newest good step of each run at the newest epoch of which all have one.
 
+    A run that failed beside others stays as it is. Another run's step fills its place in the program.
+
     Raises:
       UsageError: a run was trained with other settings or tasks.
-      RunError: one of them has lost its checkpoints.
+      RunError: one of them has lost its checkpoints, or all have failed.
     """
+    failed = given_up(runs)
+    going = [run for run, out in zip(runs, failed, strict=True) if not out]
+    if not going:
+        raise RunError(f"all {len(runs)} runs failed; delete {NAME} in {runs[0].directory} to train that one again")
     steps, until, histories = [], None, []
     while True:
-        histories = [read_history(run.directory, warn, until) for run in runs]
+        histories = [
+            NO_HISTORY if out else read_history(run.directory, warn, until)
+            for run, out in zip(runs, failed, strict=True)
+        ]
         warn = ignore  # the same damage again
         steps = [history.step for history in histories if history.step]
         until = min((step.epoch for step in steps), default=0)
-        if len(steps) < len(runs) or all(step.epoch == until for step in steps):
+        if len(steps) < len(going) or all(step.epoch == until for step in steps):
             break
-    if len(steps) < len(runs):
-        _check_first_save(runs)
+    if len(steps) < len(going):
+        _check_first_save(going)
         steps, until = [], 0
     for run, history in zip(runs, histories, strict=True):
         if history.settings:
             _check_same(run.directory, history.settings, run.config, program)
-    for run, step in zip(runs, steps, strict=False):
-        _check_same(step.path, step.about, run.config, program)
-    seconds = max(history.seconds for history in histories) if steps else 0.0
-    return Progress(steps, until, seconds, histories)
+        if history.step and steps:
+            _check_same(history.step.path, history.step.about, run.config, program)
+    if not steps:
+        return Progress([], 0, 0.0, histories)
+    seconds = max(history.seconds for history in histories)
+    return Progress([history.step or steps[0] for history in histories], until, seconds, histories)
+
+
+def given_up(runs: Sequence[Run]) -> list[bool]:
+    """Tells of each run whether it failed while others trained beside it; such a run is neither saved nor recorded."""
+    return [len(runs) > 1 and reported(run.directory) is not None for run in runs]
 
 
 def agreed(find: Callable[[], Progress]) -> Progress:

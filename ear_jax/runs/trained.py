@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from ear_jax import pretrained
 from ear_jax.agents.networks import Params
@@ -203,7 +204,8 @@ def _from_step(step: Step, directory: Path, family: str | None, engine: str | No
     state = checkpoint.restore(step, replace(empty, learner=learner, collected=like.collected), partly=True)
     collected = int(state.collected[0])
     about = {**step.about, "collected": collected}
-    return Trained(str(directory), program, state.learner.policy, step.epoch, directory, collected, about)
+    policies = _finite(state.learner.policy, step.path)
+    return Trained(str(directory), program, policies, step.epoch, directory, collected, about)
 
 
 def _from_file(path: Path, family: str | None, engine: str | None) -> Trained:
@@ -217,8 +219,15 @@ def _from_file(path: Path, family: str | None, engine: str | None) -> Trained:
     if difference:
         raise RunError(f"{path} does not fit its configuration: {difference}")
     found = rebuild(like, read_policy(path, header))
-    policies = {**found.pop("policy"), **found}
+    policies = _finite({**found.pop("policy"), **found}, path)
     return Trained(str(path), program, policies, about["epoch"], results_of(path), about["collected"], about)
+
+
+def _finite(policies: Params, holder: Path) -> Params:
+    """Returns policies; raises RunError if any number of them is not finite."""
+    if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.device_get(policies))):
+        raise RunError(f"{holder} holds a policy that is not finite: its training diverged")
+    return policies
 
 
 def _without_codes(policies: Params) -> Params:

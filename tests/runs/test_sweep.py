@@ -6,16 +6,20 @@ import dataclasses
 import json
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from ear_jax.cli.main import main
-from ear_jax.config import Config
+from ear_jax.config import Config, flag
+from ear_jax.embeddings.evaluate import evaluate
 from ear_jax.errors import RunError, UsageError
-from ear_jax.runs import loop, records, sweep
+from ear_jax.runs import checkpoint, loop, records, sweep
 from ear_jax.runs.documents import rows_of
 from ear_jax.runs.loop import Run, train_run, train_runs
 from ear_jax.runs.side_by_side import differing, programs
+from ear_jax.runs.trained import load, save
 from tests.helpers.runs import last_state, leaves, tiny_config, words
 
 pytestmark = pytest.mark.usefixtures("compiled_once")
@@ -88,6 +92,45 @@ def test_a_trial_that_fails_leaves_the_others(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(loop, "rows_of", failing(0, 3))
     with pytest.raises(RunError, match="all runs failed"):
         train_runs(pair(tmp_path / "again"))
+    with pytest.raises(RunError, match="all 2 runs failed; delete failure"):
+        train_runs(pair(tmp_path / "again"))
+
+
+def test_a_trial_that_failed_keeps_its_last_good_policy_and_the_others_continue(tmp_path, monkeypatch):
+    blocks = {"checkpoint": dataclasses.replace(tiny_config().checkpoint, blocks=1)}
+    slow, fast = pair(tmp_path, epochs=2, **blocks)
+    train_runs([slow, fast])
+    monkeypatch.setattr(loop, "rows_of", failing(3))
+    for epochs in (4, 6):
+        train_runs(pair(tmp_path, epochs=epochs, **blocks))
+    assert [max(checkpoint.steps(run.directory / checkpoint.FOLDER)) for run in (slow, fast)] == [6, 2]
+    assert [row["epoch"] for row in records.read_rows(fast.directory / "metrics.jsonl")] == [2, 2]
+    assert np.isfinite(evaluate(load(fast.directory), 1, 0)["mean_return"])
+
+
+def test_a_policy_that_is_not_finite_is_refused(tmp_path):
+    run = pair(tmp_path)[0]
+    train_runs([run])
+    trained = load(run.directory)
+    spoilt = jax.tree.map(lambda leaf: leaf.at[0].set(jnp.nan), trained.policies)
+    save(tmp_path / "spoilt.safetensors", dataclasses.replace(trained, policies=spoilt), [])
+    with pytest.raises(RunError, match="not finite: its training diverged"):
+        load(tmp_path / "spoilt.safetensors")
+
+
+def test_a_program_that_fails_leaves_the_other_programs(tmp_path, capsys, monkeypatch):
+    def rows(program, *arguments) -> list[dict[str, object]]:
+        return (failing(0) if program.config.network.width == 9 else rows_of)(program, *arguments)
+
+    monkeypatch.setattr(loop, "rows_of", rows)
+    line = sweep_words(tmp_path / "sweep", "network.width", "9", "8")
+    for said in ("the sweep goes on", "to train it again"):
+        assert main(line) == 0
+        out, err = capsys.readouterr()
+        assert said in err
+        best, last = json.loads(out)["trials"]
+        assert (best["failed"], last["failed"]) == (None, "critic_loss")
+        assert best["return"] is not None
 
 
 def test_a_trial_without_its_checkpoints_is_not_trained_anew(tmp_path):
@@ -99,12 +142,16 @@ def test_a_trial_without_its_checkpoints_is_not_trained_anew(tmp_path):
     assert len(records.read_rows(runs[1].directory / "metrics.jsonl")) == 4
 
 
-def test_the_command_trains_every_combination_and_tells_the_best_first(tmp_path, capsys):
+def sweep_words(place: Path, setting: str, *values: str) -> list[str]:
     line = ["sweep", *words(tiny_config(epochs=2, seeds=2))[1:]]
-    for name in ("--sac.lr", "--seed"):
+    for name in (flag(setting), "--seed"):
         index = line.index(name)
         del line[index : index + 2]
-    line += ["--vary", "sac.lr", "1e-4", "3e-3", "--out", str(tmp_path / "sweep"), "--json"]
+    return [*line, "--vary", setting, *values, "--out", str(place), "--json"]
+
+
+def test_the_command_trains_every_combination_and_tells_the_best_first(tmp_path, capsys):
+    line = sweep_words(tmp_path / "sweep", "sac.lr", "1e-4", "3e-3")
     assert main(line) == 0
     document = json.loads(capsys.readouterr().out)
     returns = [trial["return"] for trial in document["trials"]]
