@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
@@ -14,7 +13,7 @@ from matplotlib.ticker import LogLocator
 from benchmarks import common
 from ear_jax.cli.exits import exit_code
 from ear_jax.errors import RunError
-from ear_jax.figures.style import COLOURS, STYLE, legend_below, save_figure
+from ear_jax.figures.style import COLOURS, legend_below, save_figure, styled, subplots
 from ear_jax.runs import records
 
 Row = dict[str, Any]
@@ -169,8 +168,8 @@ def main() -> None:
         (draw_startup, latest(options.results / "startup.jsonl", ("what", "module", "preset", "cache"))),
         (draw_adaptation, latest(options.results / "adaptation.jsonl", ("command",))),
     )
-    with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(3, 2, figsize=(10, 11.2), layout="constrained")
+    with styled():
+        figure, grid = subplots(3, 2, figsize=(10, 11.2), layout="constrained")
         for axes, (draw, rows) in zip(grid.flat, panels, strict=True):
             if rows:
                 draw(axes, rows)

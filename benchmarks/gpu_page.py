@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
 from benchmarks.figures import latest
-from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.figures.style import COLOURS, save_figure, styled, subplots
 
 KEYS = ("what", "family", "seeds", "device", "batch_size", "kernels", "engine", "overlap", "precision")
 PANELS = (
@@ -26,11 +25,11 @@ def draw_page(results: Path) -> Path | None:
     rows = [row for row in found if "failed" not in row and row["what"] in drawn]
     if not rows:
         return None
-    with plt.rc_context(STYLE):
+    with styled():
         present = [panel for panel in PANELS if any(row["what"] == panel[0] for row in rows)]
         bars = [[row for row in rows if row["what"] == what] for what, *_ in present]
         heights = [1 + len(of_panel) for of_panel in bars]
-        figure, panels = plt.subplots(
+        figure, panels = subplots(
             len(present),
             figsize=(7.0, 1.5 + 0.3 * sum(heights)),
             layout="constrained",
@@ -42,7 +41,6 @@ def draw_page(results: Path) -> Path | None:
         devices = ", ".join(sorted({f"{row['device']}, {row['host_cores']} cores" for row in rows}))
         figure.suptitle(devices + (" (rehearsal)" if all(row["quick"] for row in rows) else ""))
         save_figure(figure, results / "gpu.png")
-        plt.close(figure)
     return results / "gpu.png"
 
 

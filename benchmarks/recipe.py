@@ -9,12 +9,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
 from benchmarks.common import RESULTS
-from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.figures.style import COLOURS, save_figure, styled, subplots
 from ear_jax.runs import records
 from experiments.report import documents
 from experiments.report.blocks import Table
@@ -86,9 +85,9 @@ def main(picture: Path = PICTURE) -> None:
     rows = records.read_rows(RESULTS / "recipe.jsonl")
     documents.put(DOCUMENT, PLACE, trials(rows))
     families = list(dict.fromkeys(row["family"] for row in rows))
-    with plt.rc_context(STYLE):
+    with styled():
         size = (9.6, 3.4 * len(families))
-        figure, grid = plt.subplots(len(families), figsize=size, layout="constrained", squeeze=False)
+        figure, grid = subplots(len(families), figsize=size, layout="constrained", squeeze=False)
         for axes, family in zip(grid.flat, families, strict=True):
             draw(axes, [row for row in rows if row["family"] == family])
         save_figure(figure, picture)

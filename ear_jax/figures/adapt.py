@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import STYLE, legend_below, look, save_figure
+from ear_jax.figures.style import legend_below, look, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 
@@ -24,8 +23,8 @@ def draw_adapt(figures: Path, document: dict[str, Any], label: str = "") -> list
     folder(figures)
     paths = []
     for seed in sorted({task["seed"] for task in searched}):
-        with plt.rc_context(STYLE):
-            figure, axes = plt.subplots(figsize=(4.6, 3.4), layout="constrained")
+        with styled():
+            figure, axes = subplots(figsize=(4.6, 3.4), layout="constrained")
             for index, task in enumerate(task for task in searched if task["seed"] == seed):
                 _draw_task(axes, index, task)
             axes.set(xlabel="epochs of search (0: LTE without a search)", ylabel="return of an episode")

@@ -6,19 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
 from ear_jax.figures.formats import write_figure
-from ear_jax.figures.style import COLOURS, MARKERS, STYLE
+from ear_jax.figures.style import COLOURS, MARKERS, styled, subplots
 
 
 def draw_compare(paths: Sequence[Path], document: dict[str, Any]) -> list[Path]:
     """Draws the document of `ear compare` into files and returns their paths."""
-    with plt.rc_context(STYLE):
+    with styled():
         width = 2.4 + min(7.0, 0.45 * len(document["tasks"]) + 1)
-        figure, (whole, single) = plt.subplots(
+        figure, (whole, single) = subplots(
             1, 2, figsize=(width, 3.2), layout="constrained", width_ratios=(1, max(1.2, len(document["tasks"]) / 4))
         )
         _draw_whole(whole, document)

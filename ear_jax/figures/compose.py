@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.figures.style import COLOURS, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 UNITS = {"height": "m", "squared_action": "1", "velocity_x": "m/s", "velocity_y": "m/s"}
@@ -35,8 +34,8 @@ def _draw_seed(path: Path, blends: list[dict[str, Any]], document: dict[str, Any
     quantity = document["commanded"]
     names = [name for name in blends[0]["outcome"] if name != "squared_action"]
     columns = len(names) + bool(document["feet"])
-    with plt.rc_context(STYLE):
-        figure, grid = plt.subplots(1, columns, figsize=(3.2 * columns, 2.9), layout="constrained", squeeze=False)
+    with styled():
+        figure, grid = subplots(1, columns, figsize=(3.2 * columns, 2.9), layout="constrained", squeeze=False)
         for axes, name in zip(grid[0], names, strict=False):
             unit = quantity["unit"] if name == quantity["outcome"] else UNITS.get(name, "")
             values = [blend["outcome"][name] for blend in blends]

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.figures.style import COLOURS, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 
@@ -35,8 +34,8 @@ def draw_evaluate(
 
 
 def _draw(path: Path, inches: tuple[float, float], draw: Callable[[Axes], None]) -> Path:
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=inches)
+    with styled():
+        figure, axes = subplots(figsize=inches)
         draw(axes)
         return save_figure(figure, path)
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE, legend_below, save_figure
+from ear_jax.figures.style import COLOURS, legend_below, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 
@@ -25,8 +24,8 @@ def draw_follow(figures: Path, document: dict[str, Any], label: str = "") -> lis
     draw = _draw_path if document["is_path"] else _draw_profile
     paths = []
     for entry in document["seeds"]:
-        with plt.rc_context(STYLE):
-            figure, axes = plt.subplots(figsize=(4.6, 3.6), layout="constrained")
+        with styled():
+            figure, axes = subplots(figsize=(4.6, 3.6), layout="constrained")
             draw(axes, entry, document)
             legend_below(axes, 3)
             paths.append(save_figure(figure, figures / f"following{label}_seed{entry['seed']}.png"))

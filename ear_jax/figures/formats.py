@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from ear_jax.errors import UsageError
@@ -13,7 +12,6 @@ from ear_jax.figures.style import save_figure
 
 FORMATS = (".png", ".svg", ".pdf")
 UNDATED: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-STABLE_IDS: Any = {"svg.hashsalt": "ear_jax"}  # with no date either, equal figures give equal files
 
 
 def check_format(path: Path) -> None:
@@ -23,10 +21,9 @@ def check_format(path: Path) -> None:
 
 
 def write_figure(figure: Figure, *paths: Path) -> list[Path]:
-    """Writes a figure to files of `FORMATS`, closes it and returns the paths; raises RunError if that fails."""
-    with plt.rc_context(STABLE_IDS):
-        endings = [path.suffix.lower() for path in paths]
-        return [
-            save_figure(figure, path, format=ending[1:], metadata=UNDATED.get(ending))
-            for path, ending in zip(paths, endings, strict=True)
-        ]
+    """Writes a figure to files of `FORMATS` and returns the paths; raises RunError if that fails."""
+    endings = [path.suffix.lower() for path in paths]
+    return [
+        save_figure(figure, path, format=ending[1:], metadata=UNDATED.get(ending))
+        for path, ending in zip(paths, endings, strict=True)
+    ]

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from ear_jax.errors import plain
-from ear_jax.figures.style import STYLE, look, save_figure
+from ear_jax.figures.style import look, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 
@@ -31,8 +30,8 @@ def draw_front(figures: Path, document: dict[str, Any], label: str = "") -> list
 def _draw(path: Path, entry: dict[str, Any], rewards: list[str]) -> Path:
     played, trained = np.array(entry["rewards"]), np.array([task["rewards"] for task in entry["trained"]])
     front, colour = played[entry["front"]], look(0)["color"]
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
+    with styled():
+        figure, axes = subplots(figsize=(6.4, 4.0), layout="constrained")
         axes.scatter(played[:, 0], played[:, 1], s=4, color="0.7", linewidths=0, label="an LTE")
         axes.step(*front.T, where="post", color=colour, label="Pareto front")
         axes.plot(*front.T, "o", markersize=3, color=colour)

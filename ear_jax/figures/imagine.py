@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 
-from ear_jax.figures.style import STYLE, look, save_figure
+from ear_jax.figures.style import look, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 
@@ -28,9 +27,9 @@ def draw_imagine(figures: Path, document: dict[str, Any], label: str = "") -> li
 
 def _draw(path: Path, entry: dict[str, Any], document: dict[str, Any]) -> Path:
     names = list(entry["trained"][0]["imagined"])
-    with plt.rc_context(STYLE):
+    with styled():
         size = (3.4 * (1 + len(names)), 3.0)
-        figure, (loss, *outcomes) = plt.subplots(1, 1 + len(names), figsize=size, layout="constrained")
+        figure, (loss, *outcomes) = subplots(1, 1 + len(names), figsize=size, layout="constrained")
         loss.plot(np.linspace(0, document["updates"], len(entry["loss"])), entry["loss"], color=look(0)["color"])
         loss.set(xlabel="updates", ylabel="cross-entropy")
         tasks = [task["name"] for task in entry["trained"]]

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE, legend_below, look, save_figure
+from ear_jax.figures.style import COLOURS, legend_below, look, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 
@@ -26,9 +25,9 @@ def draw_interpolate(figures: Path, document: dict[str, Any], label: str = "") -
     paths = []
     for seed in sorted({row["seed"] for row in document[kind]}):
         rows = [row for row in document[kind] if row["seed"] == seed]
-        with plt.rc_context(STYLE):
+        with styled():
             width = 2.5 + min(6.0, 0.8 * len(rows)) if kind == "pairs" else 4.3
-            figure, axes = plt.subplots(figsize=(width, 3.2), layout="constrained")
+            figure, axes = subplots(figsize=(width, 3.2), layout="constrained")
             draw(axes, rows, document)
             axes.set(ylabel=f"{document['commanded']['outcome']} ({document['commanded']['unit']})")
             paths.append(save_figure(figure, figures / f"interpolation{label}_seed{seed}.png"))

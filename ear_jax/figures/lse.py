@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from ear_jax.figures.style import COLOURS, STYLE, save_figure
+from ear_jax.figures.style import COLOURS, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 NAMES = {"state": "raw state", "lse": "LSE"}
@@ -28,8 +27,8 @@ def draw_lse(figures: Path, document: dict[str, Any], label: str = "") -> list[P
 
 
 def _draw_seed(path: Path, entry: dict[str, Any], document: dict[str, Any]) -> Path:
-    with plt.rc_context(STYLE):
-        figure, (first, second, third) = plt.subplots(1, 3, figsize=(9.5, 2.9), layout="constrained")
+    with styled():
+        figure, (first, second, third) = subplots(1, 3, figsize=(9.5, 2.9), layout="constrained")
         _draw_path(first, entry["state"], NAMES["state"], document["dt"])
         points = _draw_path(second, entry["lse"], NAMES["lse"], document["dt"])
         bar = figure.colorbar(points, ax=second, shrink=0.9)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize
+from matplotlib.figure import Figure
 
-from ear_jax.figures.style import STYLE, save_figure
+from ear_jax.figures.style import save_figure, styled
 from ear_jax.files.replacing import folder
 
 VIEWS = ((20.0, 30.0), (-20.0, 210.0))  # elevation and azimuth of two opposite sides of the sphere, degrees
@@ -40,15 +41,15 @@ def draw_map(figures: Path, document: dict[str, Any], label: str = "") -> list[P
 def colours(achieved: list[float], commanded: dict[str, Any]) -> tuple[Colormap, Normalize]:
     """Returns the colour map and its scale: a cyclic one for a quantity that wraps, else from the least to the most."""
     if commanded["period"] is not None:
-        return plt.get_cmap("twilight"), Normalize(0, commanded["period"])
-    return plt.get_cmap("viridis"), Normalize(min(achieved), max(achieved))
+        return matplotlib.colormaps["twilight"], Normalize(0, commanded["period"])
+    return matplotlib.colormaps["viridis"], Normalize(min(achieved), max(achieved))
 
 
 def _draw_sphere(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -> Path:
     shades, scale = colours(entry["achieved"], commanded)
     ltes, trained = np.array(entry["ltes"]), np.array([task["lte"] for task in entry["trained"]])
-    with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=(7.0, 3.4))
+    with styled():
+        figure = Figure(figsize=(7.0, 3.4))
         for index, (elevation, azimuth) in enumerate(VIEWS):
             # Without perspective a view shows exactly half of the sphere.
             axes: Any = figure.add_subplot(1, 2, index + 1, projection="3d", proj_type="ortho", computed_zorder=False)
@@ -88,8 +89,8 @@ def _across(codes: np.ndarray, toward: np.ndarray) -> np.ndarray:
 
 def _draw_flat(path: Path, entry: dict[str, Any], commanded: dict[str, Any]) -> Path:
     shades, scale = colours(entry["achieved"], commanded)
-    with plt.rc_context(STYLE):
-        figure = plt.figure(figsize=(6.2, 3.2))
+    with styled():
+        figure = Figure(figsize=(6.2, 3.2))
         axes: Axes = figure.add_subplot(projection="mollweide")
         longitude, latitude = _angles(np.array(entry["ltes"]))
         points = axes.scatter(longitude, latitude, c=entry["achieved"], cmap=shades, norm=scale, s=12, linewidths=0)

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
 from ear_jax.figures.formats import write_figure
-from ear_jax.figures.style import COLOURS, LINES, STYLE
+from ear_jax.figures.style import COLOURS, LINES, styled, subplots
 from ear_jax.runs.groups import Group, band
 
 LABELS = {"updates": "updates", "steps": "env steps", "minutes": "wall time (min)"}
@@ -25,8 +24,8 @@ def draw_plot(paths: Sequence[Path], groups: Sequence[Group], metric: str, by: s
       metric: a name of `runs.groups.metric_names`.
       by: an axis of `runs.groups.AXES`.
     """
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
+    with styled():
+        figure, axes = subplots(figsize=(5.4, 3.4), layout="constrained")
         for index, members in enumerate(groups):
             draw_band(axes, members, metric, by, index)
         axes.set(xlim=(0, None), xlabel=LABELS[by], ylabel=axis_label(metric))

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 from ear_jax.errors import plain
-from ear_jax.figures.style import STYLE, look, save_figure
+from ear_jax.figures.style import look, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 
 
@@ -28,8 +27,8 @@ def draw_refine(figures: Path, document: dict[str, Any], label: str = "") -> lis
 def _draw(path: Path, entry: dict[str, Any]) -> Path:
     gain = np.array(entry["returns_after"]) - np.array(entry["returns_before"])
     places = np.arange(len(gain))
-    with plt.rc_context(STYLE):
-        figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.0), layout="constrained")
+    with styled():
+        figure, (left, right) = subplots(1, 2, figsize=(8.0, 3.0), layout="constrained")
         left.plot(np.arange(1, len(entry["course"]) + 1), entry["course"], color=look(0)["color"], linewidth=0.8)
         left.set_xlabel("iteration")
         left.set_ylabel("mean return, with noise")

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from ear_jax.figures.style import STYLE, save_figure
+from ear_jax.figures.style import save_figure, styled
 
 FLAG, GROUND = "#D5000F", "#CED2CE"
 LEFT, RIGHT, BELOW, ABOVE = 1.1, 0.15, 0.45, 0.5  # inches around the panels
@@ -79,8 +79,8 @@ def draw_strip(path: Path, panels: Sequence[Panel], bounds: Bounds, caption: str
     wide, tall = LEFT + width + RIGHT, BELOW + count * (height + gap)
     if beside:
         wide, tall = 2 * RIGHT + count * (width + gap), BELOW + height + ABOVE
-    with plt.rc_context({**STYLE, "axes.grid": False, "savefig.bbox": None}):
-        figure = plt.figure(figsize=(wide, tall))
+    with styled({"axes.grid": False, "savefig.bbox": None}):
+        figure = Figure(figsize=(wide, tall))
         for row, panel in enumerate(panels):
             left, bottom = (RIGHT + row * (width + gap), BELOW) if beside else (LEFT, tall - (row + 1) * (height + gap))
             axes = figure.add_axes((left / wide, bottom / tall, width / wide, height / tall))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -27,7 +27,30 @@ STYLE: Any = {
     "figure.dpi": 160,
     "savefig.bbox": "tight",
     "text.parse_math": False,  # a name with dollar signs is a name
+    "svg.hashsalt": "ear_jax",  # with no date either, equal figures give equal files
 }
+_drawing = threading.RLock()
+
+
+@contextlib.contextmanager
+def styled(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """A context in which figures have the style; one thread draws at a time, as Matplotlib's settings are global."""
+    settings: Any = {**STYLE, **(changes or {})}
+    with _drawing, matplotlib.rc_context(settings):
+        yield
+
+
+def subplots(*shape: int, figsize: tuple[float, float], layout: Any = None, **options: Any) -> tuple[Figure, Any]:
+    """Returns a figure and its axes as pyplot does, which would also choose a backend and keep the figure open.
+
+    Args:
+      shape: rows and columns; one of each by default.
+      figsize: width and height in inches.
+      layout: of `Figure`.
+      options: further options of `Figure.subplots`.
+    """
+    figure = Figure(figsize=figsize, layout=layout)
+    return figure, figure.subplots(*shape, **options)
 
 
 def look(index: int) -> dict[str, Any]:
@@ -40,21 +63,18 @@ def look(index: int) -> dict[str, Any]:
 
 
 def save_figure(figure: Figure, path: Path, **options: Any) -> Path:
-    """Writes a figure, as PNG unless `format` is given, and closes it; returns the path.
+    """Writes a figure, as PNG unless `format` is given, and returns the path.
 
     Args:
-      figure: a figure of pyplot.
+      figure: a figure.
       path: the file, which is replaced.
       options: further options of `Figure.savefig`.
 
     Raises:
       RunError: the file cannot be written.
     """
-    try:
-        with replace_file(path) as scratch:
-            figure.savefig(scratch, **{"format": "png", **options})
-    finally:
-        plt.close(figure)
+    with replace_file(path) as scratch:
+        figure.savefig(scratch, **{"format": "png", **options})
     return path
 
 

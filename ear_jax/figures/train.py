@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-
 from ear_jax.figures.formats import write_figure
 from ear_jax.figures.plot import axis_label, draw_band
-from ear_jax.figures.style import STYLE
+from ear_jax.figures.style import styled, subplots
 from ear_jax.runs.groups import Group, metric_names, read
 
 # Shown if the method has them.
@@ -26,11 +24,9 @@ def draw_train(run: Path) -> list[Path]:
         return []
     members = Group("all seeds", (read(run),))
     shown = [metric for metric in PANELS if metric in metric_names(members.seeds[0])]
-    with plt.rc_context(STYLE):
+    with styled():
         rows = -(-len(shown) // 3)
-        figure, grid = plt.subplots(
-            rows, min(3, len(shown)), figsize=(9, 2.5 * rows), layout="constrained", squeeze=False
-        )
+        figure, grid = subplots(rows, min(3, len(shown)), figsize=(9, 2.5 * rows), layout="constrained", squeeze=False)
         for axes, metric in zip(grid.flat, shown, strict=False):
             draw_band(axes, members, metric, "updates", 0)
             axes.set(xlim=(0, None), title=axis_label(metric), xlabel="updates")

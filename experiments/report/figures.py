@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ear_jax.figures.style import COLOURS, STYLE, legend_below, look, save_figure
+from ear_jax.figures.style import COLOURS, legend_below, look, save_figure, styled, subplots
 from ear_jax.files.replacing import folder
 from experiments.report.run_index import Run
 
@@ -22,9 +21,9 @@ def draw_panels(path: Path, panels: Sequence[Callable[[Axes], None]]) -> Path:
     """Draws panels in a grid, at most two in a row."""
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    with plt.rc_context(STYLE):
+    with styled():
         size = (PANEL[0] * columns, PANEL[1] * rows)
-        figure, grid = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
+        figure, grid = subplots(rows, columns, figsize=size, layout="constrained", squeeze=False)
         for axes, draw in zip(grid.flat, panels, strict=False):
             draw(axes)
         for axes in grid.flat[len(panels) :]:

@@ -7,9 +7,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from ear_jax.embeddings import ltes
 from ear_jax.errors import RunError
@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def figure(path: Path) -> None:
-    save_figure(plt.figure(figsize=(1, 1)), path)
+    save_figure(Figure(figsize=(1, 1)), path)
 
 
 def film(path: Path) -> None:
