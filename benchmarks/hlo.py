@@ -51,7 +51,7 @@ class Kernel:
 
     name: str
     ops: frozenset[str]  # operations in it
-    source: str  # names of the JAX operations in it, the root's first
+    source: str  # the target of a custom call, and the JAX operation that it writes last
     traffic: int  # bytes read and written, without reuse in caches
 
     @property
@@ -92,12 +92,12 @@ class Module:
     def _kernel(self, found: Instruction, shapes: dict[str, str]) -> Kernel:
         inner = list(self._inside(found))
         ops = frozenset(one.op for one in (found, *inner))
-        names = [name for one in (found, *reversed(inner)) for name in re.findall(r'op_name="([^"]*)"', one.line)]
-        names = names[:1]  # what the kernel writes last
+        named = (re.search(r'op_name="([^"]*)"', one.line) for one in (found, *reversed(inner)))
+        last = next((name.group(1) for name in named if name), "")  # of what the kernel writes last
         target = re.search(r'custom_call_target="([^"]*)"', found.line)
         written = size(found.shape)
         read = written if ops & SPARSE else sum(size(shapes.get(name, "")) for name in found.operands)
-        return Kernel(found.name, ops, " ".join([*([target.group(1)] if target else []), *names]), read + written)
+        return Kernel(found.name, ops, f"{target.group(1) if target else ''} {last}".strip(), read + written)
 
     def _inside(self, found: Instruction) -> Iterator[Instruction]:
         """Yields the instructions of the computations that an instruction calls."""

@@ -259,6 +259,8 @@ def _check_type(name: str, value: Any, kind: Any) -> None:
 
     try:
         typeguard.check_type(value, kind, collection_check_strategy=typeguard.CollectionCheckStrategy.ALL_ITEMS)
+        if isinstance(value, bool) and kind is not bool:  # a truth value is an int to Python
+            raise typeguard.TypeCheckError("")
     except typeguard.TypeCheckError:
         wanted = kind.__name__ if isinstance(kind, type) else str(kind).replace("typing.", "")
         raise UsageError(f"the setting {name} is {reprlib.repr(value)}; it must be of type {wanted}") from None

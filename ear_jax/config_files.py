@@ -11,6 +11,7 @@ from typing import Any
 
 from ear_jax.config import Config, from_dict
 from ear_jax.errors import RunError, UsageError
+from ear_jax.files.documents import Damaged, parse, verified
 
 Settings = dict[str, Any]  # nested, as in `dataclasses.asdict(config)`; may be a part of all
 
@@ -33,7 +34,11 @@ def read_settings(path: Path) -> Settings:
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(f"{file} cannot be read: {getattr(error, 'strerror', None) or 'it is not text'}") from None
     try:
-        read: Any = json.loads(text) if file.suffix == ".json" else tomllib.loads(text)
+        read: Any = parse(text) if file.suffix == ".json" else tomllib.loads(text)
+        if file.name == "config.json":  # a run's; one that was copied may have been edited
+            read = verified(read)
+    except Damaged as error:
+        raise RunError(f"{file} is damaged: {error}") from None
     except (ValueError, RecursionError) as error:
         kind = "JSON" if file.suffix == ".json" else "TOML"
         raise UsageError(f"{file} is not {kind}: {error}") from None

@@ -16,7 +16,7 @@ from ear_jax.cli.exits import exit_code
 from ear_jax.errors import UsageError, known_name, unknown
 from ear_jax.process.stopping import stop_with_parent
 from ear_jax.process.terminal import say
-from experiments.inventory import is_trained, jobs, missing, side_by_side
+from experiments.inventory import is_trained, jobs, missing, named_together, side_by_side
 from experiments.paper import EXPERIMENTS
 from experiments.reproduce import complete_all, complete_on_ray, keep, plan
 
@@ -103,10 +103,13 @@ def reproduce(words: list[str]) -> None:
         print_plan(command)
         return
     wanted = jobs(EXPERIMENTS[command.id], command.preset, command.seeds, command.minutes)
-    wanted = side_by_side(wanted) if command.together else wanted
-    if command.only is not None:
+    if command.only is not None and command.together and (job := named_together(wanted, command.only)):
+        wanted = [job]
+    elif command.only is not None:
         named = {job.name: job for job in wanted}
         wanted = [named[known_name("run", command.only, named)]]
+    elif command.together:
+        wanted = side_by_side(wanted)
     if command.dry_run:
         for line in (line for job in wanted for line in plan(job)):
             print(line)

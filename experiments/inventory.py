@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 from ear_jax.config import Config, from_dict, run_name
 from ear_jax.errors import UsageError
@@ -96,17 +98,32 @@ def is_kept(job: Job) -> bool:
 
 def side_by_side(wanted: list[Job]) -> list[Job]:
     """Returns the same jobs, with the missing seeds of each method merged into one run from the first to the last."""
-    kept, lacking = [], {}
+    kept = [job for job in wanted if is_kept(job)]
+    lacking = _by_method([job for job in wanted if job not in kept])
+    return kept + [_of_seeds(jobs[0], min(seeds), max(seeds)) for seeds, jobs in lacking]
+
+
+def named_together(wanted: list[Job], name: str) -> Job | None:
+    """Returns the job of that name which trains several seeds of a method side by side, or None.
+
+    Unlike the jobs of `side_by_side`, it does not depend on which seeds are missing by now.
+    """
+    together = (
+        _of_seeds(jobs[0], first, last) for seeds, jobs in _by_method(wanted) for first, last in combinations(seeds, 2)
+    )
+    return next((job for job in together if job.name == name), None)
+
+
+def _by_method(wanted: list[Job]) -> list[tuple[list[int], list[Job]]]:
+    """Groups jobs that differ in their seed alone; returns each group's seeds, ascending, and jobs."""
+    groups: dict[Any, list[Job]] = {}
     for job in wanted:
-        if is_kept(job):
-            kept.append(job)
-        else:
-            lacking.setdefault((dataclasses.replace(job.config, seed=0), job.analyses), []).append(job.config.seed)
-    together = [
-        Job(dataclasses.replace(config, seed=min(seeds), seeds=1 + max(seeds) - min(seeds)), analyses)
-        for (config, analyses), seeds in lacking.items()
-    ]
-    return kept + together
+        groups.setdefault((dataclasses.replace(job.config, seed=0), job.analyses), []).append(job)
+    return [(sorted(job.config.seed for job in group), group) for group in groups.values()]
+
+
+def _of_seeds(job: Job, first: int, last: int) -> Job:
+    return Job(dataclasses.replace(job.config, seed=first, seeds=1 + last - first), job.analyses)
 
 
 def missing(job: Job) -> list[Analysis]:

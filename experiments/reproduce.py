@@ -17,7 +17,7 @@ from types import FrameType
 from ear_jax.config import from_dict, run_name
 from ear_jax.errors import RunError, UsageError
 from ear_jax.files.replacing import copy_file, lock_file
-from ear_jax.process.stopping import SIGNALS, Stopped, child_environment
+from ear_jax.process.stopping import Stopped, child_environment, stop_signals
 from ear_jax.process.terminal import say
 from ear_jax.runs import on_ray, records
 from ear_jax.runs.lock import InUse, lock_directory
@@ -165,23 +165,24 @@ def keep(run: Path, name: str | None = None, replace: bool = False) -> Path:
 def run_ear(words: list[str]) -> str:
     """Runs an `ear` command with its messages on our stderr, and returns its stdout.
 
-    If this process is killed, the command stops as by SIGTERM.
+    The command has a process group of its own, so that it gets each signal once, from here. If this process is killed,
+    it stops as by SIGTERM.
 
     Raises:
       Stopped: this process was asked to stop; the command was stopped too.
       RunError: the command failed.
     """
     line = [sys.executable, "-m", "ear_jax.cli.main", *words]
-    child = subprocess.Popen(line, stdout=subprocess.PIPE, text=True, env=child_environment(), close_fds=False)
-
+    child = subprocess.Popen(
+        line, stdout=subprocess.PIPE, text=True, env=child_environment(), close_fds=False, process_group=0
+    )
     signals: list[int] = []
 
     def pass_on(number: int, frame: FrameType | None) -> None:
         signals.append(number)
-        if number != signal.SIGINT:  # Ctrl-C reaches the child directly
-            child.send_signal(number)
+        child.send_signal(number)
 
-    before = {number: signal.signal(number, pass_on) for number in SIGNALS}
+    before = {number: signal.signal(number, pass_on) for number in stop_signals()}
     try:
         output, _ = child.communicate()
     finally:

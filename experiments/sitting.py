@@ -8,7 +8,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import count
 
 from ear_jax.errors import UsageError
 from experiments.inventory import Job, is_complete, missing
@@ -102,7 +101,7 @@ def script(sitting: Sitting, words: Sequence[str], timed: Sequence[Run]) -> list
         if archives[-1] and RECORD_MIB * sum(one.config.seeds for one in (*archives[-1], job)) > FILE_MIB:
             archives.append([])
         archives[-1].append(job)
-    for number, archive in zip(count(1), archives, strict=False):
+    for number, archive in enumerate(archives, start=1):
         names = shlex.join(job.name for job in archive)
         size = RECORD_MIB * sum(job.config.seeds for job in archive)
         lines.append(f"tar czf records-{number}.tar.gz -C experiments/records {names}  # at most {size:.0f} MiB")

@@ -17,7 +17,7 @@ from xdist.scheduler import LoadScopeScheduling
 
 from ear_jax.config import Config
 from ear_jax.errors import RunError, UsageError
-from ear_jax.runs import loop
+from ear_jax.runs import on_host
 from ear_jax.runs.loop import train_run
 from experiments import inventory
 from tests.helpers.quick import compile_quickly
@@ -99,7 +99,7 @@ def run_directory(tmp_path: Path) -> Path:
 @pytest.fixture
 def compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs of one configuration share one compiled program; compiling is most of the cost of a small run."""
-    monkeypatch.setattr(loop, "compile_program", compile_once)
+    monkeypatch.setattr(on_host, "compile_program", compile_once)
 
 
 @pytest.fixture(scope="session")
@@ -107,7 +107,7 @@ def finished_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that is trained once for all tests, and that none may change."""
     directory = tmp_path_factory.mktemp("finished") / "run"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loop, "compile_program", compile_once)
+        patch.setattr(on_host, "compile_program", compile_once)
         train_run(finished_config(), directory)
     return directory
 
@@ -121,7 +121,7 @@ def finished(finished_once: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def refusal(finished, monkeypatch) -> Callable[..., str]:
     """Returns the message with which training that run is refused, before anything is compiled or written."""
-    monkeypatch.setattr(loop, "compile_program", lambda *_: pytest.fail("it came to compiling"))
+    monkeypatch.setattr(on_host, "compile_program", lambda *_: pytest.fail("it came to compiling"))
 
     def refuse(config: Config) -> str:
         before = times(finished)

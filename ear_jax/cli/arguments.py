@@ -9,6 +9,7 @@ import io
 import math
 import os
 import re
+import threading
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -22,6 +23,7 @@ from ear_jax.errors import UsageError
 Parsed = TypeVar("Parsed")
 HELP = ("-h", "--help")
 MAX_BETA = 1000  # further out a blend hardly turns any more
+_parsing = threading.Lock()  # tyro writes to the stderr of the process
 
 
 def parse(
@@ -47,7 +49,7 @@ def parse(
     config = (tyro.conf.FlagCreatePairsOff,)
     arguments: dict[str, Any] = {} if default is None else {"default": default}
     try:
-        with contextlib.redirect_stderr(complaint):
+        with _parsing, contextlib.redirect_stderr(complaint):
             parsed = tyro.cli(
                 kind,
                 args=words,

@@ -49,10 +49,8 @@ def main(words: list[str]) -> None:
 
     if command.out is not None:
         check_format(command.out)
-    named = f"{ours[0].name}_against_{theirs[0].name}"
-    if len(ours) + len(theirs) > 2 or ours[0].name == theirs[0].name:  # which other runs may share
-        named += "_" + short_hash(f"{[*map(str, ours)]} {[*map(str, theirs)]}")
-    file = command.out or PLOTS / f"{named}.png"
+    which = short_hash(" ".join(str(run.absolute()) for run in (*ours, Path("against"), *theirs)))
+    file = command.out or PLOTS / f"{ours[0].name}_against_{theirs[0].name}_{which}.png"
     show_and_keep(document, command.json, _print, partial(draw_compare, [file], document))
 
 

@@ -11,9 +11,10 @@ import tyro
 
 from ear_jax.cli.arguments import parse
 from ear_jax.config import from_dict
-from ear_jax.errors import UsageError, counted
+from ear_jax.errors import RunError, UsageError, counted
 from ear_jax.process.terminal import say
 from ear_jax.runs import records
+from ear_jax.runs.lock import InUse, lock_directory
 from ear_jax.runs.tracking import TENSORBOARD, tracking
 
 
@@ -40,9 +41,13 @@ def main(words: list[str]) -> None:
         raise UsageError("say where to: --tensorboard, --wandb or both")
     config = from_dict(records.read_run(command.run)["config"])
     config = replace(config, log=replace(config.log, tensorboard=command.tensorboard, wandb=command.wandb))
-    rows = len(records.read_rows(command.run / "metrics.jsonl"))
-    with tracking(command.run, config, say):
-        pass
+    try:
+        with lock_directory(command.run, say):  # a training writes event files too
+            rows = len(records.read_rows(command.run / "metrics.jsonl"))
+            with tracking(command.run, config, say):
+                pass
+    except InUse:
+        raise RunError(f"{command.run} is in use; log it once its training has ended or stopped") from None
     folder = command.run / TENSORBOARD
     if command.json:
         print(json.dumps({"rows": rows, "tensorboard": str(folder) if command.tensorboard else None}))

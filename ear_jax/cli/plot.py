@@ -85,7 +85,7 @@ def _files(command: PlotCommand, groups: list[Group]) -> list[Path]:
     if command.out is not None:
         return [command.out]
     names = [Path(one.name).name for one in groups]
-    more = f"{names[0]}_and_{len(names) - 1}_more_{short_hash(' '.join(map(str, command.runs)))}"
-    named = "_".join(names) if len(names) < 3 else more
-    stem = re.sub(r"[^\w.+-]+", "_", f"{named}_{command.metric}_by_{command.by}")
+    named = "_".join(names) if len(names) < 3 else f"{names[0]}_and_{len(names) - 1}_more"
+    which = short_hash(" ".join(str(run.absolute()) for run in command.runs))  # other runs may have the same names
+    stem = re.sub(r"[^\w.+-]+", "_", f"{named}_{command.metric}_by_{command.by}_{which}")
     return [PLOTS / f"{stem}.png", PLOTS / f"{stem}.svg"]

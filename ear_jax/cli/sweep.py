@@ -107,17 +107,18 @@ def train_together(trials: Sequence[Trial], directory: Path) -> None:
     """Trains trials side by side. One whose numbers were not finite stays failed, and other programs go on."""
     from ear_jax.runs.loop import Run, train_runs
 
-    def failed() -> bool:
-        return all(reported(directory / trial.name) for trial in trials)
+    def failed() -> list[Trial]:
+        return [trial for trial in trials if reported(directory / trial.name)]
 
-    if failed():
-        for trial in trials:
-            say(f"{trial.name} failed before; delete {directory / trial.name / REPORT} to train it again")
+    before = failed()
+    for trial in before:
+        say(f"{trial.name} failed before; delete {directory / trial.name / REPORT} to train it again")
+    if len(before) == len(trials):
         return
     try:
         train_runs([Run(trial.config, directory / trial.name) for trial in trials])
     except RunError as error:
-        if not failed():
+        if len(failed()) < len(trials):
             raise
         say(f"warning: {error}; the sweep goes on")
 

@@ -62,14 +62,11 @@ def claim_file(path: Path) -> Iterator[None]:
     Raises:
       RunError: another process is in it, or the lock cannot be made.
     """
-    lock, file = _open_lock(path)
+    lock, file = _claim(path)
     try:
-        _claim(file, path)
-        try:
-            yield
-        finally:
-            lock.unlink(missing_ok=True)
+        yield
     finally:
+        lock.unlink(missing_ok=True)
         os.close(file)
 
 
@@ -83,13 +80,20 @@ def _open_lock(path: Path) -> tuple[Path, int]:
         raise RunError(f"cannot make {lock}: {error.strerror}") from None
 
 
-def _claim(file: int, path: Path) -> None:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise RunError(f"another process writes {path}; wait for it, or name another file") from None
-    except OSError:  # some file systems have no locks
-        return
+def _claim(path: Path) -> tuple[Path, int]:
+    """Makes and locks the file beside `path` that claims it; returns its path and descriptor."""
+    while True:
+        lock, file = _open_lock(path)
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(file)
+            raise RunError(f"another process writes {path}; wait for it, or name another file") from None
+        except OSError:  # some file systems have no locks
+            return lock, file
+        if os.fstat(file).st_nlink:
+            return lock, file
+        os.close(file)  # its last holder removed it before it was locked
 
 
 def write_text(path: Path, text: str) -> None:
@@ -100,8 +104,12 @@ def write_text(path: Path, text: str) -> None:
 
 def copy_file(source: Path, path: Path) -> None:
     """Replaces a file by a copy of another; raises RunError if one cannot be read or the other not written."""
+    try:
+        content = source.read_bytes()
+    except OSError as error:
+        raise RunError(f"{source} cannot be read: {error.strerror}") from None
     with replace_file(path) as scratch:
-        scratch.write_bytes(source.read_bytes())
+        scratch.write_bytes(content)
 
 
 def folder(path: Path) -> Path:

@@ -19,7 +19,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count as counter
 from typing import Annotated, Any
 
@@ -59,6 +59,7 @@ class _Joined:
     count: int
     relay: Relay
     numbers: Iterator[int]  # of exchanges
+    told: list[str] = field(default_factory=list)  # keys of what process 0 has told since the last `gather`
 
 
 _joined: _Joined | None = None
@@ -162,8 +163,9 @@ def gather(document: Any) -> list[Any]:
         return []
     keys = [f"ear_jax/{number}/{index}" for index in range(1, _joined.count)]
     texts = [client.blocking_key_value_get(key, FOREVER) for key in keys]
-    for key in keys:
+    for key in (*keys, *_joined.told):  # to come here, all have read what they were told
         client.key_value_delete(key)
+    _joined.told.clear()
     return [document, *map(json.loads, texts)]
 
 
@@ -191,6 +193,7 @@ def agree(decide: Callable[[], Any]) -> Any:
         gather(None)  # all have read it
         raise
     client.key_value_set(key, json.dumps(["document", document]))
+    _joined.told.append(key)
     return document
 
 

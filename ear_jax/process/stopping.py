@@ -88,9 +88,7 @@ class StopRequest:
 
     def __enter__(self) -> StopRequest:
         if threading.current_thread() is threading.main_thread():
-            ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-            numbers = [number for number in SIGNALS if number != signal.SIGHUP or not ignored]
-            self._entered.enter_context(Listener(numbers, self._handle))
+            self._entered.enter_context(Listener(stop_signals(), self._handle))
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -101,6 +99,12 @@ class StopRequest:
             _leave(number)  # safe during a save, which is atomic
         self.signal = number
         self._announce(f"stopping after this {self._unit}; a second signal stops immediately")
+
+
+def stop_signals() -> list[signal.Signals]:
+    """Returns the signals that stop this process: `SIGNALS` without a SIGHUP that was ignored, as by `nohup`."""
+    ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    return [number for number in SIGNALS if number != signal.SIGHUP or not ignored]
 
 
 @contextlib.contextmanager

@@ -66,7 +66,7 @@ def make_card(
 
 
 def judge(family: Family, task: dict[str, Any], all_tasks: list[dict[str, Any]]) -> dict[str, Any]:
-    """Returns a task of an evaluation for the card; a task with a target also says if it is met.
+    """Returns a task of an evaluation for the card; one with a target that others differ from also says if it is met.
 
     A task is met if every episode lasts and the achieved value is off by less than half the distance to the next task.
     """
@@ -80,9 +80,11 @@ def judge(family: Family, task: dict[str, Any], all_tasks: list[dict[str, Any]])
         return {**result, "outcome": task["outcome"]}
     achieved = task["outcome"][family.commanded]
     others = [other["target"] for other in all_tasks if other["target"] not in (None, task["target"])]
-    gap = min((abs(family.difference(other, task["target"])) for other in others), default=float("inf"))
-    error = abs(family.difference(achieved, task["target"]))
-    return {**result, "achieved": achieved, "error": error, "met": error < gap / 2 and not task["failures"]}
+    result |= {"achieved": achieved, "error": abs(family.difference(achieved, task["target"]))}
+    if not others:
+        return result
+    gap = min(abs(family.difference(other, task["target"])) for other in others)
+    return {**result, "met": result["error"] < gap / 2 and not task["failures"]}
 
 
 def limits(tasks: list[dict[str, Any]], episodes: int, unit: str) -> str:

@@ -9,13 +9,14 @@ checksums.
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,34 +31,40 @@ from ear_jax.runs.directory import FOLDER, steps
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
 from ear_jax.runs.seeds import own_members
 
-_default_unraisablehook = sys.unraisablehook
 
-
-def _ignore_closed_loop(unraisable: sys.UnraisableHookArgs) -> None:
-    """Reports exceptions that cannot be raised, except those of writes that Orbax abandoned.
-
-    Orbax closes its event loop at the first failed write, and each pending write of TensorStore then fails with
-    "Event loop is closed".
-    """
-    if str(unraisable.exc_value) != "Event loop is closed":
-        _default_unraisablehook(unraisable)
-
-
+@functools.cache
 def _orbax() -> Any:
-    """Returns Orbax, which takes a second to import and which an exported file does without."""
+    """Returns Orbax, which takes a second to import and which an exported file does without.
+
+    Orbax closes its event loop at the first failed write. Each pending write of TensorStore then fails with "Event loop
+    is closed", whenever it is collected; that is not reported.
+    """
     import orbax.checkpoint
 
-    logging.getLogger("absl").setLevel(logging.CRITICAL)  # Orbax logs every save; failures are also raised
-    sys.unraisablehook = _ignore_closed_loop
+    report = sys.unraisablehook
+
+    def report_others(unraisable: sys.UnraisableHookArgs) -> None:
+        if str(unraisable.exc_value) != "Event loop is closed":
+            report(unraisable)
+
+    sys.unraisablehook = report_others
     return orbax.checkpoint
 
 
-def _checkpointer(ocp: Any) -> Any:
-    """Returns what saves and restores; the processes of a run wait for each other through JAX's service."""
+@contextlib.contextmanager
+def _checkpointer(ocp: Any) -> Iterator[Any]:
+    """A context with what saves and restores; the processes of a run wait for each other through JAX's service."""
     together = set(range(hosts.count())) if hosts.count() > 1 else None
     options = ocp.options.MultiprocessingOptions(primary_host=0, active_processes=together)
     handler = ocp.PyTreeCheckpointHandler(multiprocessing_options=options)
-    return ocp.Checkpointer(handler, multiprocessing_options=options)
+    logger = logging.getLogger("absl")  # Orbax logs every save; failures are also raised
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        with ocp.Checkpointer(handler, multiprocessing_options=options) as checkpointer:
+            yield checkpointer
+    finally:
+        logger.setLevel(level)
 
 
 __all__ = ["FOLDER", "steps"]  # used as `checkpoint.…`

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 MAY_CHANGE = ("epochs", "minutes", "engine", "checkpoint.blocks", "checkpoint.replay", "log.tensorboard", "log.wandb")
 FOLDER = "checkpoints"
 LONGEST_PATH = 3500  # bytes; Linux allows 4096, and a checkpoint's files have long names
-# Files that a process leaves if it is killed before it wrote config.json.
-UNSTARTED = r"lock|config\.json\.part|\.config\.json\.[0-9a-f]+\.part"
+# Files that a process leaves if it is killed before it wrote config.json, or a sweep's document.
+UNSTARTED = r"lock|config\.json\.part|\.(config|sweep)\.json\.[0-9a-f]+\.part"
 
 
 def default_directory(config: Config) -> Path:

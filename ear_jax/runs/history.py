@@ -119,7 +119,7 @@ def _rows(log: Path, step: Step, warn: Callable[[str], None]) -> tuple[str, bool
         return "".join(line for line, _ in lines[: max(until, default=0)]), True  # a damaged line is left as it is
     if text.startswith(step.rows):
         return step.rows, True
-    pairs = enumerate(zip_longest(text.splitlines(), step.rows.splitlines()), start=1)
+    pairs = enumerate(zip_longest(text.split("\n"), step.rows.split("\n")), start=1)
     first = next(number for number, (one, other) in pairs if one != other)
     warn(f"warning: {log} is damaged in line {first}; its rows are those of the checkpoint of epoch {step.epoch}")
     return step.rows, False

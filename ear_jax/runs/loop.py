@@ -25,15 +25,15 @@ from ear_jax.process import hosts
 from ear_jax.process.stopping import Stopped, StopRequest
 from ear_jax.process.terminal import TrainingBar, phase, say
 from ear_jax.runs import checkpoint, records, training
-from ear_jax.runs.compiled import Compiled, compile_program, fill_replay, train_epochs
+from ear_jax.runs.compiled import Compiled, fill_replay, train_epochs
 from ear_jax.runs.directory import check_place
 from ear_jax.runs.documents import differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
 from ear_jax.runs.failure import find_failure, forget
 from ear_jax.runs.fastest import with_engine
-from ear_jax.runs.history import LOG, note_first_step, write_history
+from ear_jax.runs.history import LOG, note_first_step, read_history, write_history
 from ear_jax.runs.lock import lock_directory
-from ear_jax.runs.on_host import collects_on_host, compile_on_host
+from ear_jax.runs.on_host import compiler_of
 from ear_jax.runs.seeds import check_seeds, own_members, seed_sharding
 from ear_jax.runs.side_by_side import differing, join, keys_of, members, of_run, over_hosts
 from ear_jax.runs.starting_point import Progress, Run, agreed, given_up, ignore, prepare, reached
@@ -70,15 +70,14 @@ def train_runs(runs: Sequence[Run]) -> None:
         check(run.config)
         check_place(run.directory)
     program = _program([run.config for run in runs])
-    on_host = collects_on_host(program)
+    compiling = compiler_of(program)
     progress = agreed(lambda: reached(runs, program, say))
     if progress.steps and _finished(program.config, progress.epoch, progress.seconds):
         done = f"{progress.epoch} epochs, {progress.seconds / 60:.1f} minutes"
         say(f"{_place(runs)} is finished: {done} (raise --epochs or --minutes for more)")
         for run, history in zip(runs, progress.histories, strict=False):
             if history.damaged:
-                with lock_directory(run.directory, say):
-                    write_history(run.directory, history.settings, history.rows)
+                _repair(run.directory)
         return
     check_memory(program)
     with ExitStack() as held:
@@ -87,7 +86,6 @@ def train_runs(runs: Sequence[Run]) -> None:
         say(header(replace(program, config=runs[0].config), _place(runs)))
         keys = keys_of([run.config for run in runs])
         with phase("compiling"):
-            compiling = compile_on_host if on_host else compile_program
             compiled = compiling(program, keys, differing([run.config for run in runs]))
         state = _restore(program, compiled, keys, progress) if progress.steps else _begin(program, compiled, keys)
         _train_blocks(
@@ -121,6 +119,14 @@ def _open(runs: Sequence[Run], program: Program, held: ExitStack) -> tuple[list[
         return progress
 
     return opened, agreed(find)
+
+
+def _repair(directory: Path) -> None:
+    """Restores the documents of a run, as they are once no other process has it."""
+    with lock_directory(directory, say):
+        history = read_history(directory, ignore)
+        if history.damaged:
+            write_history(directory, history.settings, history.rows)
 
 
 def _place(runs: Sequence[Run]) -> str:

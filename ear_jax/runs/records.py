@@ -83,13 +83,14 @@ def versions() -> dict[str, str | None]:
 @functools.cache  # a sweep asks for every run
 def commit() -> str | None:
     """Returns the checkout's commit, marked `+changes` if files other than results differ; None outside a checkout."""
-    here = Path(__file__).resolve().parent
+    here = Path(__file__).resolve()
 
     def git(*arguments: str) -> str:
-        result = subprocess.run(["git", "-C", here, *arguments], capture_output=True, text=True, check=True, timeout=10)
-        return result.stdout.strip()
+        line = ["git", "-C", str(here.parent), *arguments]
+        return subprocess.run(line, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
 
     try:
+        git("ls-files", "--error-unmatch", "--", here.name)  # fails where ear_jax lies in another project's checkout
         changed = git("status", "--porcelain", "-uno", "--", ":/", *(f":(top,exclude){place}" for place in RESULTS))
         return git("rev-parse", "--short=12", "HEAD") + ("+changes" if changed else "")
     except (OSError, subprocess.SubprocessError):

@@ -6,6 +6,7 @@ directory for each trial.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from statistics import mean, stdev
@@ -22,7 +23,7 @@ def check_place(directory: Path) -> None:
     """Checks that a directory can hold a sweep; raises UsageError if it holds something else, RunError as a run's."""
     if (directory / NAME).exists():
         return
-    if directory.is_dir() and any(directory.iterdir()):
+    if directory.is_dir() and not all(re.fullmatch(directories.UNSTARTED, path.name) for path in directory.iterdir()):
         raise UsageError(f"--out {directory} is neither empty nor a sweep's directory; name another")
     directories.check_place(directory)
 

@@ -71,6 +71,13 @@ def test_a_runs_settings_are_a_file(finished):
     assert read(["--config", str(finished), "--seed", "8"]).config == config
 
 
+def test_a_flipped_bit_in_a_runs_settings_is_found(finished, capsys):
+    file = finished / "config.json"
+    file.write_text(file.read_text().replace('"width": 16', '"width": 17'))
+    assert main(["train", "--config", str(finished)]) == 1
+    assert "config.json is damaged: it differs from its checksum" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("text", "words", "complaint"),
     [
@@ -78,6 +85,7 @@ def test_a_runs_settings_are_a_file(finished):
         ("sac = [", [], "mine.toml is not TOML"),
         ("[sac]\nlrr = 1", [], "mine.toml: unknown setting 'sac.lrr'; did you mean 'sac.lr'?"),
         ('[sac]\nlr = "much"', [], "mine.toml: the setting sac.lr is 'much'; it must be of type float"),
+        ("seeds = true", [], "mine.toml: the setting seeds is True; it must be of type int"),
         ("sac = 1", [], "mine.toml: sac must be a table of settings"),
         ("seed = 1", [], "name a family first"),
         ('family = "hoper-vel"', [], "did you mean 'hopper-vel'?"),

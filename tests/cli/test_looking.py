@@ -39,6 +39,19 @@ def test_runs_are_plotted_with_seeds_as_bands(runs, capsys):
     assert svg.read_text() == text
 
 
+def test_figures_of_other_runs_have_other_names(runs, capsys):
+    (runs / "old").mkdir()
+    write_records(runs / "old" / "ear-seed0", {0: [{"vel-1": 1}]})
+    files = set()
+    for shown in (["ear-seed0"], ["ear-seed0", "ear-seed1"], ["old/ear-seed0"]):
+        assert main(["plot", *shown, "--json"]) == 0
+        files |= set(json.loads(capsys.readouterr().out)["figures"])
+    assert len(files) == 6
+    for theirs in ("ear-seed0", "old/ear-seed0"):
+        assert main(["compare", "ear-seed1", theirs]) == 0
+    assert len(list((runs / "plots").glob("ear-seed1_against_ear-seed0_*.png"))) == 2
+
+
 def test_what_is_no_run_among_others_is_left_out(runs, capsys):
     (runs / "pretrained-hopper-vel").mkdir()
     (runs / "page.html").touch()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from ear_jax.cli.explore import name as explore_name
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import UNLABELLED, keep, label_of, show_and_keep
 from ear_jax.errors import RunError
+from ear_jax.runs import records
 
 
 @pytest.mark.parametrize("names", [[], ["a.png", "b.png"]])
@@ -143,3 +145,15 @@ def test_tasks_with_episodes_that_ended_early_are_named(failures, line):
         for row, counts in enumerate(failures)
     ]
     assert ended_early({"episodes": 3, "episode_length": 200, "seeds": seeds}) == line
+
+
+def test_the_commit_of_a_project_in_which_ear_jax_is_installed_is_not_ours(tmp_path, monkeypatch):
+    package = tmp_path / ".venv" / "ear_jax" / "runs"
+    package.mkdir(parents=True)
+    (tmp_path / "mine.py").touch()
+    identity = ("-c", "user.name=a", "-c", "user.email=a@b.example")
+    for words in (["init", "-q"], ["add", "mine.py"], [*identity, "commit", "-qm", "mine"]):
+        subprocess.run(["git", "-C", tmp_path, *words], check=True)
+    monkeypatch.setattr(records, "__file__", str(package / "records.py"))
+    (package / "records.py").touch()
+    assert records.commit.__wrapped__() is None

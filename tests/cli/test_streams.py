@@ -110,3 +110,11 @@ def test_a_command_runs_in_any_thread(capsys):
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(main, ["pretrained", "--json"]).result() == 0
     assert json.loads(capsys.readouterr().out)["pretrained"]
+
+
+def test_command_lines_that_are_parsed_at_once_leave_stderr_alone():
+    stderr = sys.stderr
+    with ThreadPoolExecutor(4) as threads:
+        codes = list(threads.map(main, [["evaluate", "nowhere", "--episodes", "many"]] * 8))
+    assert codes == [2] * 8
+    assert sys.stderr is stderr

@@ -16,7 +16,7 @@ import pytest
 from ear_jax.envs import FAMILIES, Family, make_family
 from ear_jax.errors import UsageError
 from ear_jax.physics import Physics
-from ear_jax.runs import loop
+from ear_jax.runs import on_host
 from ear_jax.runs.loop import train_run
 from ear_jax.tasks import Task, TaskSet, task_set
 from tests.helpers.probe import SLIDER, Bandit
@@ -195,7 +195,7 @@ def test_a_broken_family_is_refused_in_one_line(parts, complaint, monkeypatch):
 
 def test_a_broken_family_is_refused_before_anything_is_compiled(monkeypatch, run_directory):
     monkeypatch.setitem(FAMILIES, "bandit", type("Broken", (Bandit,), {"reward": never}))
-    monkeypatch.setattr(loop, "compile_program", lambda *_: pytest.fail("it came to compiling"))
+    monkeypatch.setattr(on_host, "compile_program", lambda *_: pytest.fail("it came to compiling"))
     with pytest.raises(UsageError, match=r"^bandit: reward\(\) fails"):
         train_run(tiny_config(family="bandit", tasks=()), run_directory)
     assert not run_directory.exists()

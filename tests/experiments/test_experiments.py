@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -197,6 +198,9 @@ def test_seeds_that_are_lacking_are_trained_together(workplace):
     workplace.clear()
     assert main(["reproduce", "table-8"]) == 0
     assert workplace == [], "each seed is there"
+    (inventory.RECORDS / "ant-dir-ear-fast-seeds1-2" / "evaluation.json").unlink()
+    assert main(["reproduce", "table-8", "--together", "--only", "ant-dir-ear-fast-seeds1-2"]) == 0
+    assert [words.split()[0] for words in workplace] == ["evaluate"], "by the name that it was given"
 
 
 def test_dry_run_prints_the_commands_and_writes_nothing(workplace, capsys, tmp_path):
@@ -247,7 +251,8 @@ def test_a_command_that_fails_is_named_with_its_exit_code(tmp_path, monkeypatch,
     assert "nowhere is not a run directory" in capfd.readouterr().err
 
 
-def test_a_signal_is_passed_on_and_waited_for(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_is_passed_on_and_waited_for(number, tmp_path):
     """The running command is a stand-in that leaves a file when it begins and when it saves."""
     stand_in = tmp_path / "ear_jax" / "cli" / "main.py"
     stand_in.parent.mkdir(parents=True)
@@ -255,21 +260,24 @@ def test_a_signal_is_passed_on_and_waited_for(tmp_path):
         (package / "__init__.py").touch()
     stand_in.write_text(
         "import signal, sys, time\n"
-        "def save(*_):\n    open('saved', 'w').close()\n    sys.exit(143)\n"
-        "signal.signal(signal.SIGTERM, save)\nopen('begun', 'w').close()\ntime.sleep(60)\n"
+        "def save(number, _):\n    open('saved', 'w').close()\n    sys.exit(128 + number)\n"
+        "signal.signal(signal.SIGTERM, save)\nsignal.signal(signal.SIGINT, save)\n"
+        "open('begun', 'w').close()\ntime.sleep(60)\n"
     )
     code = (
         "import sys; from experiments import reproduce; from ear_jax.process.stopping import Stopped\n"
         "try: reproduce.run_ear(['train'])\nexcept Stopped as stopped: sys.exit(stopped.exit_code)"
     )
     root = str(Path(reproduce.__file__).parents[1])
-    ours = subprocess.Popen([sys.executable, "-c", f"import sys; sys.path[0] = {root!r}\n{code}"], cwd=tmp_path)
+    line = ["nohup", sys.executable, "-c", f"import sys; sys.path[0] = {root!r}\n{code}"]
+    ours = subprocess.Popen(line, cwd=tmp_path)
     for _ in range(1200):
         if (tmp_path / "begun").exists():
             break
         time.sleep(0.05)
-    ours.terminate()
-    assert ours.wait(timeout=30) == 143
+    ours.send_signal(signal.SIGHUP)  # which this process ignores, as below nohup
+    ours.send_signal(number)
+    assert ours.wait(timeout=30) == 128 + number
     assert (tmp_path / "saved").exists()
 
 

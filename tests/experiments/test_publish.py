@@ -227,6 +227,14 @@ def test_a_task_is_met_within_half_way_to_the_next_one():
     assert not met("ant-dir", 0.0, 358.5)
 
 
+def test_the_only_target_is_not_judged():
+    measured = make_family("hopper-vel")
+    task = {"name": "5", "target": 5.0, "return_mean": 1.0, "failures": 0, "outcome": {measured.commanded: 4.0}}
+    judged = judge(measured, task, [task])
+    assert judged["error"] == 1
+    assert "met" not in judged
+
+
 def test_a_task_without_a_target_is_not_judged():
     task = {"name": "jump", "target": None, "return_mean": 1.0, "failures": 0, "outcome": {"height": 1.5}}
     judged = judge(make_family("hopper-vel"), task, [task])

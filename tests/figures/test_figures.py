@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib import pyplot
 from matplotlib.axes import Axes
 from mpl_toolkits.mplot3d import Axes3D
 
@@ -120,3 +124,14 @@ def test_every_training_task_and_every_lte_is_drawn_once_on_the_sphere(tmp_path,
     assert [picture.name for picture in pictures] == ["sphere_seed3.png", "map_seed3.png"]
     assert sorted(labels, key=float) == [str(index) for index in range(12)]
     assert sum(points) == 60 + 12
+
+
+def test_a_programs_own_matplotlib_stays_as_it_was(tmp_path):
+    """Drawn in two threads at once, as a program may."""
+    with matplotlib.rc_context({"backend": "svg", "font.size": 17}):
+        documents = [{"pairs": [pair(seed, "1", "2", [1, 2, 3])]} for seed in range(8)]
+        whole = [{**document, "betas": [1, 0.5, 0], "commanded": QUANTITY} for document in documents]
+        with ThreadPoolExecutor(2) as threads:
+            list(threads.map(interpolate.draw_interpolate, [tmp_path] * 8, whole))
+        assert (matplotlib.rcParams["backend"], matplotlib.rcParams["font.size"]) == ("svg", 17)
+    assert not pyplot.get_fignums()

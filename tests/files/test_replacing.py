@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -15,7 +16,7 @@ from ear_jax.embeddings import ltes
 from ear_jax.errors import RunError
 from ear_jax.figures.style import save_figure
 from ear_jax.figures.video import write_gif, write_mp4
-from ear_jax.files.replacing import copy_file, folder, lock_file, replace_file, write_text
+from ear_jax.files.replacing import claim_file, copy_file, folder, lock_file, replace_file, write_text
 from ear_jax.runs import safetensors
 from tests.helpers.faults import each_kill
 
@@ -92,6 +93,23 @@ def test_what_another_writer_is_writing_stays(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_claim_that_was_given_up_meanwhile_is_claimed_anew(tmp_path, monkeypatch):
+    """Another process opens the lock, and locks it after its holder has removed it; a third one comes then."""
+    path, lock = tmp_path / "a", fcntl.flock
+    first = claim_file(path)
+    first.__enter__()
+
+    def later(file: int, operation: int) -> None:
+        monkeypatch.setattr(fcntl, "flock", lock)
+        first.__exit__(None, None, None)
+        lock(file, operation)
+
+    monkeypatch.setattr(fcntl, "flock", later)
+    with claim_file(path), pytest.raises(RunError, match="another process writes"), claim_file(path):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_that_is_a_link_is_refused(tmp_path):
     (tmp_path / "precious").mkdir()
     (tmp_path / "figures").symlink_to(tmp_path / "precious")
@@ -110,7 +128,7 @@ def test_where_no_folder_and_no_lock_can_be_made_it_is_said(tmp_path):
 
 def test_a_copy_of_what_is_not_there_leaves_the_old_file(tmp_path):
     (tmp_path / "b").write_text("good")
-    with pytest.raises(RunError, match=r"cannot write .*b: No such file"):
+    with pytest.raises(RunError, match=r"/a cannot be read: No such file"):
         copy_file(tmp_path / "a", tmp_path / "b")
     assert (tmp_path / "b").read_text() == "good"
 

@@ -14,7 +14,7 @@ import numpy as np
 from flax import struct
 
 from ear_jax.learning.episodes import Episodes
-from ear_jax.runs import loop
+from ear_jax.runs import on_host
 from ear_jax.runs.compiled import Compiled
 from ear_jax.runs.seeds import over_seeds
 from ear_jax.runs.training import Metrics, Program, TrainState
@@ -60,5 +60,5 @@ if __name__ == "__main__":
     from tests.helpers.quick import compile_quickly
 
     compile_quickly()
-    loop.compile_program = compile_toy  # type: ignore[assignment]
+    on_host.compile_program = compile_toy  # type: ignore[assignment]
     sys.exit(main())

@@ -60,7 +60,7 @@ SEEDS = [(0, 8), *(pytest.param(seed, 20, marks=pytest.mark.slow) for seed in ra
 
 @pytest.mark.parametrize(("seed", "runs"), SEEDS)
 def test_every_command_ends_in_one_line(seed, runs, finished, tmp_path, monkeypatch, capsys):
-    stub(monkeypatch, (*COMPUTES, "ear_jax.runs.loop.compile_program"))
+    stub(monkeypatch, (*COMPUTES, "ear_jax.runs.on_host.compile_program"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "precious").write_text("mine")
     shutil.copytree(finished, tmp_path / "good")

@@ -18,7 +18,7 @@ from ear_jax.envs.batched_env import is_finite
 from ear_jax.errors import RunError
 from ear_jax.learning import sac
 from ear_jax.physics import Motion
-from ear_jax.runs import loop, records, training
+from ear_jax.runs import on_host, records, training
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.training import make_program
 from tests.helpers.probe import Slider
@@ -118,13 +118,13 @@ def test_a_loss_that_is_not_finite_ends_the_run_and_leaves_the_last_good_step(fi
         return jnp.where(batch.task == 1, jnp.nan, target(critic, predictions, batch, *arguments))
 
     monkeypatch.setattr(sac.losses, "critic_targets", poisoned)
-    compile_program, kept = loop.compile_program, []
+    compile_program, kept = on_host.compile_program, []
 
     def compile_once(*arguments):
         kept.extend([] if kept else [compile_program(*arguments)])
         return kept[0]
 
-    monkeypatch.setattr(loop, "compile_program", compile_once)
+    monkeypatch.setattr(on_host, "compile_program", compile_once)
     for _ in range(2):  # the same command fails the same
         with pytest.raises(RunError, match=r"seed 0 failed: actor_loss is nan after 96 updates \(task vel-3\)"):
             train_run(finished_config(epochs=30), finished)

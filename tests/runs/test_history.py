@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import pytest
 
 from ear_jax.errors import RunError, UsageError
-from ear_jax.runs import checkpoint, history, loop, manifest, records, trained
+from ear_jax.runs import checkpoint, history, manifest, on_host, records, trained
 from ear_jax.runs.loop import train_run
 from tests.helpers.runs import finished_config, times
 
@@ -47,6 +47,16 @@ def test_rows_without_a_step_are_not_erased(lose, complaint, config, refusal, fi
     assert complaint in refusal(config)
 
 
+@pytest.mark.parametrize("spoilt", [lambda text: text[:-1], lambda text: text.replace("\n", "\v", 1)])
+def test_a_damaged_end_of_a_line_is_restored(spoilt, finished, capsys):
+    log = finished / "metrics.jsonl"
+    text = log.read_text()
+    log.write_text(spoilt(text))
+    train_run(finished_config(), finished)
+    assert "metrics.jsonl is damaged in line" in capsys.readouterr().err
+    assert log.read_text() == text
+
+
 def test_so_it_is_for_runs_of_earlier_versions(refusal, finished):
     settings = records.read_run(finished)
     del settings[history.FIRST]
@@ -61,7 +71,7 @@ def test_a_run_killed_before_its_first_step_starts_anew(finished, monkeypatch):
     """Its rows are those of blocks that are trained again."""
     records.write_json(finished / "config.json", {**records.read_run(finished), history.FIRST: None})
     shutil.rmtree(finished / "checkpoints")
-    monkeypatch.setattr(loop, "compile_program", lambda *_: (_ for _ in ()).throw(RunError("it came to compiling")))
+    monkeypatch.setattr(on_host, "compile_program", lambda *_: (_ for _ in ()).throw(RunError("it came to compiling")))
     with pytest.raises(RunError, match="it came to compiling"):
         train_run(MORE, finished)
     assert records.read_rows(finished / "metrics.jsonl") == []

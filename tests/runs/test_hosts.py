@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from ear_jax.config import CheckpointConfig, Config
-from ear_jax.runs import checkpoint, loop, records
+from ear_jax.runs import checkpoint, on_host, records
 from ear_jax.runs.loop import train_run
 from tests.helpers.quick import shared_cache
 from tests.helpers.runs import last_state, leaves, step_arrays, sweep_words, tiny_config, words
@@ -142,7 +142,7 @@ def test_a_host_is_killed_the_other_ends_and_one_host_continues(tmp_path, monkey
     assert "seeds 0–3 on 2 hosts" in said
     assert [line for line in said.splitlines() if line.startswith("ear: ")] == [ended(1)]
     epochs = checkpoint.newest(run / "checkpoints", pytest.fail).epoch + 4
-    monkeypatch.setattr(loop, "compile_program", compile_toy)
+    monkeypatch.setattr(on_host, "compile_program", compile_toy)
     for directory in (run, tmp_path / "alone"):
         train_run(four_seeds(epochs=epochs), directory)
     assert rows_of(run) == rows_of(tmp_path / "alone")

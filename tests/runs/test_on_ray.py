@@ -18,7 +18,7 @@ import pytest
 from ear_jax.cli.main import main
 from ear_jax.config import CheckpointConfig, Config
 from ear_jax.errors import RunError
-from ear_jax.runs import checkpoint, loop, on_ray, records
+from ear_jax.runs import checkpoint, on_host, on_ray, records
 from ear_jax.runs.loop import train_run
 from tests.helpers.raylets import two_nodes
 from tests.helpers.runs import step_arrays, sweep_words, tiny_config, words
@@ -96,7 +96,7 @@ def test_a_node_dies_and_all_runs_end_as_if_each_had_been_alone(cluster, tmp_pat
     assert len(again) == 1, "the one on the node that died"
     assert all(f"{run.name}: done" in said for run in runs)
     assert len([line for line in said.splitlines() if "160/160" in line]) == 6, "the table"
-    monkeypatch.setattr(loop, "compile_program", compile_toy)
+    monkeypatch.setattr(on_host, "compile_program", compile_toy)
     for config, run in zip(configs, runs, strict=True):
         alone = tmp_path / "alone" / run.name
         train_run(config, alone)

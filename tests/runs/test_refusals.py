@@ -12,7 +12,7 @@ import pytest
 
 from ear_jax.cli.main import main
 from ear_jax.errors import RunError
-from ear_jax.runs import checkpoint, loop
+from ear_jax.runs import checkpoint, on_host
 from ear_jax.runs.documents import differences
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.training import make_program
@@ -87,7 +87,7 @@ def test_what_a_process_left_that_was_killed_at_once_is_no_obstacle(run_director
     run_directory.mkdir()
     for name in ("lock", "config.json.part"):
         (run_directory / name).touch()
-    monkeypatch.setattr(loop, "compile_program", lambda *_: (_ for _ in ()).throw(RunError("it came to compiling")))
+    monkeypatch.setattr(on_host, "compile_program", lambda *_: (_ for _ in ()).throw(RunError("it came to compiling")))
     with pytest.raises(RunError, match="it came to compiling"):
         train_run(finished_config(), run_directory)
 

@@ -199,6 +199,12 @@ def test_a_sweep_is_not_written_over_something_else(tmp_path):
         sweep.begin(tmp_path, "hopper-vel", {"a": {"sac.lr": 1e-3}})
 
 
+def test_a_sweep_that_was_killed_before_its_document_begins_again(tmp_path):
+    (tmp_path / ".sweep.json.0a1b2c3d.part").touch()
+    sweep.begin(tmp_path, "hopper-vel", {"a": {"sac.lr": 1e-3}})
+    assert sweep.read_sweep(tmp_path)["trials"][0]["name"] == "a"
+
+
 def test_a_sweep_whose_document_is_another_is_named(tmp_path):
     records.write_json(tmp_path / sweep.NAME, {"trials": []})
     with pytest.raises(RunError, match=r"sweep\.json cannot be read: it names no family or no trials"):

@@ -19,6 +19,7 @@ from tensorboardX.proto.event_pb2 import Event
 from ear_jax.cli.main import main
 from ear_jax.config import Config, LogConfig
 from ear_jax.runs import records
+from ear_jax.runs.lock import lock_directory
 from ear_jax.runs.loop import train_run
 from ear_jax.runs.tracking import scalars, tracking
 from tests.helpers.records_of import write_records
@@ -74,6 +75,15 @@ def test_a_run_that_exists_is_copied_with_its_times(tmp_path, monkeypatch, capsy
     assert times[-1] == pytest.approx((run / "metrics.jsonl").stat().st_mtime)
     (settings,) = (value.tensor for event in events(folder) for value in event.summary.value if "settings" in value.tag)
     assert b"| sac.lr | 0.0003 |" in settings.string_val[0]
+
+
+def test_a_run_that_is_training_is_not_copied(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    run = write_records(Path("run"), {0: [{"vel-1": 1}]})
+    with lock_directory(run, print):
+        assert main(["log", "run", "--tensorboard"]) == 1
+    assert "run is in use; log it once its training has ended" in capsys.readouterr().err
+    assert not (run / "tensorboard").exists()
 
 
 def test_a_tracker_that_fails_ends_no_run(tmp_path, monkeypatch):

@@ -18,16 +18,17 @@ import pytest
 
 from ear_jax.errors import RunError, UsageError
 from ear_jax.presets import preset_config
-from ear_jax.runs import checkpoint, loop, records, training
+from ear_jax.runs import checkpoint, loop, on_host, records, training
+from ear_jax.runs.compiled import compile_program
 from ear_jax.runs.leaves import named_leaves
-from ear_jax.runs.loop import compile_program, train_run
+from ear_jax.runs.loop import train_run
 from tests.helpers.runs import last_state, leaves, state_after, tiny_config
 
 pytestmark = pytest.mark.usefixtures("compiled_once")
 
 
 def test_each_half_of_an_epoch_is_traced_once_in_a_run(tiny, run_directory, monkeypatch):
-    monkeypatch.setattr(loop, "compile_program", compile_program)  # not the shared one
+    monkeypatch.setattr(on_host, "compile_program", compile_program)  # not the shared one
     halves = [Mock(wraps=getattr(training, name)) for name in ("collect", "learn")]
     monkeypatch.setattr(training, "collect", halves[0])
     monkeypatch.setattr(training, "learn", halves[1])
