@@ -40,7 +40,12 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
       outcome, the number of failed episodes (those that end before the time limit), and each episode. A task fails if
       any of its episodes fails. If codes are tuned (MAML), also `untuned_return`, the mean return from the same starts
       of the parameters that all tasks share.
+
+    Raises:
+      UsageError: no episodes.
+      RunError: the episodes do not fit in memory.
     """
+    _check_episodes(episodes)
     program = trained.program
     config, count = program.config, program.config.seeds
     check_rollouts(program, count * len(program.tasks) * episodes, program.family.episode_length)
@@ -91,14 +96,13 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
       UsageError: codes of another shape or not finite, or no episodes.
       RunError: the episodes do not fit in memory.
     """
-    program, family = trained.program, trained.program.family
+    program, family, codes = trained.program, trained.program.family, jnp.asarray(codes)
     shape = program.config.seeds, program.agent.code_size
     if jnp.shape(codes) != shape:
         raise UsageError(f"codes must have shape {shape}, one for each seed, but have {jnp.shape(codes)}")
     if not jnp.isfinite(codes).all():
         raise UsageError("codes must be finite")
-    if episodes < 1:
-        raise UsageError(f"episodes {episodes} is too small; it must be at least 1")
+    _check_episodes(episodes)
     check_rollouts(program, program.config.seeds * episodes, family.episode_length)
 
     def of_seed(policy: Params, key: jax.Array, code: jax.Array) -> tuple[Episodes, jax.Array]:
@@ -123,6 +127,11 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
             for index in range(program.config.seeds)
         ],
     }
+
+
+def _check_episodes(episodes: int) -> None:
+    if episodes < 1:
+        raise UsageError(f"episodes {episodes} is too small; it must be at least 1")
 
 
 def _describe_seed(program: Program, seed: int, played: Episodes) -> dict[str, Any]:

@@ -231,7 +231,7 @@ def _describe(
         codes, *columns = (played["outcome"][name][index, :end, row * episodes] for name in ("code", *course.outcomes))
         playing = np.cumsum(over[:end, row * episodes]) == 0
         followed = np.where(playing[:, None], np.stack(columns, axis=-1), 0.0)
-        turns = np.arccos(np.clip((codes[1:] * codes[:-1]).sum(axis=-1), -1, 1))
+        turns = 2 * np.arcsin(np.minimum(1, np.linalg.norm(codes[1:] - codes[:-1], axis=-1) / 2))
         beside = {"aside": np.round(played["costs"][index, row], 4).tolist()} if course.is_path else {}
         return {
             "error": round(float(errors.mean()), 4),

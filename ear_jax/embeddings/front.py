@@ -12,6 +12,7 @@ from ear_jax.embeddings.map import training_ltes
 from ear_jax.embeddings.survey import PLACES, find_survey, record_codes
 from ear_jax.envs.asked import Reward, name_of, reward_functions, score_outcomes
 from ear_jax.errors import UsageError
+from ear_jax.learning.episodes import late_steps
 from ear_jax.runs.trained import Trained
 
 
@@ -32,10 +33,10 @@ def trade(trained: Trained, rewards: Sequence[Reward | str], seed: int = 0, plac
       UsageError: there are not two rewards, one has a mistake or is not finite, or the agent has no LTE sphere.
       RunError: the episodes do not fit in memory.
     """
-    if len(rewards) != 2:
-        raise UsageError(f"a trade-off is between two rewards, not {len(rewards)}")
     program = trained.program
     functions = reward_functions(program.family, rewards)
+    if len(functions) != 2:
+        raise UsageError(f"a trade-off is between two rewards, not {len(functions)}")
     survey, env_steps = find_survey(trained, places, seed)
     table = np.asarray(jax.vmap(program.agent.codes)(trained.policies))  # [seeds, tasks, code]
     played = _late_means(functions, survey.outcomes, survey.lengths)
@@ -58,10 +59,9 @@ def trade(trained: Trained, rewards: Sequence[Reward | str], seed: int = 0, plac
 
 def _late_means(rewards: Sequence[Reward], outcomes: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray:
     """Returns the mean of each reward over the second half of every episode, [seeds, places, rewards]."""
-    step, lengths = np.arange(next(iter(outcomes.values())).shape[-1]), lengths[..., None]
-    late = (lengths // 2 <= step) & (step < lengths)
+    late = late_steps(lengths, next(iter(outcomes.values())).shape[-1])
     totals = [score_outcomes(reward, outcomes, late).sum(axis=-1, dtype=np.float64) for reward in rewards]
-    return np.stack(totals, axis=-1) / late.sum(axis=-1, keepdims=True)
+    return np.stack(totals, axis=-1) / np.maximum(late.sum(axis=-1, keepdims=True), 1)
 
 
 def pareto_front(values: np.ndarray) -> np.ndarray:

@@ -91,7 +91,8 @@ def imagine(trained: Trained, config: MeasureConfig, seed: int) -> dict[str, Any
         params, losses = learn_measure(measure, policy, items, cell, key_learn)
         task = any_task(program.tasks.params)
         starts = BatchedEnv(program.family).start(key_start, task, STARTS).state.obs[0]
-        states = jax.random.categorical(key_states, jnp.where(items.terminated, -jnp.inf, 0.0), shape=(STATES,))
+        lasting = jnp.cumsum(~items.terminated)  # draws evenly among the states that are no end
+        states = jnp.searchsorted(lasting, jax.random.randint(key_states, (STATES,), 0, lasting[-1]), side="right")
 
         def of_code(code: jax.Array) -> jax.Array:
             first, later = (

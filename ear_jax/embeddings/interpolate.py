@@ -50,12 +50,15 @@ def trained_ends(trained: Trained) -> list[End]:
 
 
 def adjacent_pairs(ends: Sequence[End], family: Family) -> list[Pair]:
-    """Pairs each task that has a target with the next higher; if the quantity wraps, also the last with the first."""
+    """Pairs each task that has a target with the next higher; if the quantity wraps, also the last with the first.
+
+    Tasks with equal targets have nothing between them and are no pair.
+    """
     order = sorted((end for end in ends if end.target is not None), key=lambda end: end.target or 0.0)
     pairs = list(pairwise(order))
     if family.period is not None and len(order) > 2:
         pairs.append((order[-1], order[0]))
-    return pairs
+    return [pair for pair in pairs if family.difference(pair[0].target, pair[1].target)]
 
 
 def between(agent: Agent, along: str) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:

@@ -58,7 +58,7 @@ def record_signals(trained: Trained, task: str, seed: int) -> list[dict[str, Sig
     if agent.embed is None:
         raise UsageError(f"agent {program.config.agent} has no latent sensory embedding")
     embed, row = agent.embed, program.tasks.index(task)
-    env, steps = BatchedEnv(program.family), program.family.episode_length
+    env, steps = BatchedEnv(program.family, resets=False), program.family.episode_length
     params = jax.tree.map(lambda leaf: leaf[row : row + 1], program.tasks.params)
 
     def record(transition: Transition) -> tuple[jax.Array, jax.Array]:

@@ -20,7 +20,7 @@ from ear_jax.embeddings.survey import PLACES, codes_for_returns, find_survey, re
 from ear_jax.envs.asked import Reward, asked, reward_functions, score_outcomes
 from ear_jax.envs.family import Outcome
 from ear_jax.errors import UsageError
-from ear_jax.learning.episodes import record_from, starts
+from ear_jax.learning.episodes import late_steps, record_from, starts
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.trained import Trained
@@ -175,8 +175,7 @@ def _play_again(
         score_outcomes(reward, {name: value[..., row, :] for name, value in outcomes.items()}, playing[..., row, :])
         for row, reward in enumerate(rewards)
     ]
-    step = np.arange(1, steps + 1)[:, None, None]
-    late = playing & (step > playing.sum(axis=2, keepdims=True) // 2)
+    late = np.moveaxis(late_steps(playing.sum(axis=2), steps), -1, 2)
     counts = np.maximum(late.sum(axis=2), 1)
     means = {name: (np.where(late, value, 0.0).sum(axis=2) / counts).mean(-1) for name, value in outcomes.items()}
     return np.stack([of_steps.sum(axis=2).mean(axis=-1) for of_steps in returns], axis=-1), means

@@ -133,7 +133,7 @@ def infer_codes(
     assert agent.infer
     infer, scale = jax.vmap(agent.infer, in_axes=(None, 0)), program.config.sac.reward_scale
     count, steps = task_count(tasks), family.episode_length
-    env = BatchedEnv(family)
+    env = BatchedEnv(family, resets=False)
 
     def record(step: Transition) -> tuple[jax.Array, ...]:
         kept = (step.obs, step.action, step.outcome, step.failed, step.valid)

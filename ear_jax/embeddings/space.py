@@ -65,7 +65,8 @@ def _slopes(family: Family, codes: np.ndarray, achieved: np.ndarray) -> np.ndarr
     np.fill_diagonal(angles, np.inf)
     near = np.argsort(angles, axis=1)[:, :NEIGHBOURS]
     changes = np.abs(family.difference(achieved[near], achieved[:, None]))
-    return changes / np.take_along_axis(angles, near, axis=1)
+    apart = np.take_along_axis(angles, near, axis=1)
+    return np.divide(changes, apart, out=np.zeros(changes.shape), where=apart > 0)  # 0 where places coincide
 
 
 def _covered(family: Family, achieved: np.ndarray, low: float, high: float) -> float:

@@ -50,7 +50,7 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
     Raises:
       RunError: the steps do not fit in memory.
     """
-    family, env = program.family, PoseEnv(program.family)
+    family, env = program.family, PoseEnv(program.family, resets=False)
     check_rollouts(program, len(codes), steps + 1, family.model.nq)
     # One more step, for the pose before it.
     still = jnp.zeros((steps + 1, len(codes), 1, family.action_size))

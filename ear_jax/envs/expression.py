@@ -159,12 +159,14 @@ class _Builder:
     def _comparison(self, node: ast.AST, sides: list[ast.expr], operators: list[ast.cmpop]) -> Value:
         if any(type(operator) not in OPERATORS for operator in operators):
             raise self._mistake(node, f"in and is are not allowed in a reward (there are: {ALLOWED})")
-        values = [self.build(side) for side in sides]
-        compared = [
-            _applied(OPERATORS[type(operator)], *ends)
-            for operator, ends in zip(operators, pairwise(values), strict=True)
-        ]
-        return _joined(jnp.logical_and, compared)
+        values, compare = [self.build(side) for side in sides], [OPERATORS[type(operator)] for operator in operators]
+
+        def compared(outcome: Outcome) -> Any:
+            found = [value(outcome) for value in values]  # each side once
+            pairs = zip(compare, pairwise(found), strict=True)
+            return reduce(jnp.logical_and, [holds(*pair) for holds, pair in pairs])
+
+        return compared
 
     def _call(self, node: ast.Call) -> Value:
         if not isinstance(node.func, ast.Name):

@@ -18,8 +18,8 @@ from ear_jax.errors import UsageError, unknown
 from ear_jax.physics import Motion, Physics
 from ear_jax.tasks import Task, TaskSet, task_set
 
-# Names used beside outcomes: the first two by evaluations, the others by Brax's wrappers.
-RESERVED = ("return", "length", "reward", "sum_reward")
+# Names used beside outcomes: by evaluations, by Brax's wrappers, and by trajectories.
+RESERVED = ("return", "length", "reward", "sum_reward", "qpos", "code")
 
 
 def check_class(kind: Any, name: str) -> None:

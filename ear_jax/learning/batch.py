@@ -57,6 +57,8 @@ def check_batch(config: Config, tasks: int) -> None:
         raise UsageError("--network.critic-bins 1 is out of range; it must be 0, for a scalar value, or at least 2")
     if config.network.critic_bins and not config.sac.return_scale:
         raise UsageError("--network.critic-bins needs --sac.return-scale, the largest return that bins reach")
+    if config.sac.return_scale and config.sac.discount == 1:
+        raise UsageError("--sac.return-scale needs --sac.discount below 1, as a reward for ever must have a return")
     if config.network.critic_batch_norm and config.network.critic_blocks:
         raise UsageError("--network.critic-batch-norm and --network.critic-blocks build other critics; leave out one")
 

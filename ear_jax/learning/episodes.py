@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from ear_jax.agents import Agent
@@ -71,7 +74,7 @@ def play_from(
     outcome, playing = record_from(family, agent, policy, codes, env_states, noise)
     lengths = jnp.sum(playing, axis=0)
     reward = score(family, outcome, tasks, axis=1)
-    late = playing & (jnp.arange(1, len(noise) + 1)[:, None, None] > lengths // 2)
+    late = jnp.moveaxis(late_steps(lengths, len(noise)), -1, 0)
 
     def mean_over(mask: jax.Array) -> Outcome:
         count = jnp.maximum(jnp.sum(mask, axis=0), 1)
@@ -96,6 +99,12 @@ def record_from(
     act = act_with(agent, policy, codes)
     _, (outcome, failed, valid) = rollout(BatchedEnv(family, resets=False), act, env_states, noise, record)
     return outcome, first_episode(failed) & valid
+
+
+def late_steps(lengths: Any, steps: int) -> Any:
+    """Marks the steps in the second half of episodes of given lengths [...], of NumPy or JAX; bool [..., steps]."""
+    step = np.arange(steps)
+    return (lengths[..., None] // 2 <= step) & (step < lengths[..., None])
 
 
 def achieved(family: Family, played: Episodes) -> jax.Array:

@@ -135,7 +135,7 @@ class MamlLearner:
     ) -> tuple[EnvState, Trials, dict[str, jax.Array]]:
         """Plays half an epoch's steps with the shared parameters and half after adapting to each task drawn."""
         key_before, key_after = jax.random.split(key)
-        rows = draw_tasks(self.config, task_count(self.tasks), jax.random.fold_in(key, 1))
+        rows = draw_tasks(self.config, task_count(self.tasks), jax.random.fold_in(key, 2))
         tasks = jax.tree.map(lambda leaf: leaf[rows], self.tasks)
         origin = jnp.zeros((len(rows), self.agent.code_size))
         before, returns_before, invalid_before = self.play(state.policy, origin, tasks, key_before)

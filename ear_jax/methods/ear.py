@@ -35,7 +35,7 @@ def ear(sizes: Sizes, config: Config) -> Agent:
 
     def init_policy(key: jax.Array) -> Params:
         key_encoder, key_task, key_decoder = jax.random.split(key, 3)
-        own = {"predictor": predictor.init(jax.random.fold_in(key, 1))} if forecasts else {}
+        own = {"predictor": predictor.init(jax.random.fold_in(key, 3))} if forecasts else {}
         return {
             "encoder": encoder.init(key_encoder),
             "task_encoder": task_encoder.init(key_task),

@@ -33,7 +33,9 @@ def epoch_bytes(program: Program) -> int:
     collecting = rollout_bytes(program, tasks * config.collect.envs, config.collect.steps)
     evaluating = rollout_bytes(program, tasks * config.log.episodes, program.family.episode_length)
     items = config.seeds * config.sac.updates * config.sac.batch_size
-    drawn = 0 if program.learner.on_policy else 4 * items * (2 * program.family.action_size + 3)
+    drawn = (
+        0 if program.learner.on_policy else 4 * items * (2 * (program.family.action_size + program.agent.code_size) + 3)
+    )
     return max(collecting, evaluating, drawn)
 
 

@@ -61,7 +61,8 @@ class Program:
     def env_steps_per_epoch(self) -> int:
         """Environment steps of one seed in an epoch."""
         collect, tasks = self.config.collect, len(self.tasks)
-        played = drawn_tasks(self.config, tasks) if self.learner.on_policy else tasks
+        on_policy = find_method(self.config.agent).learner.on_policy
+        played = drawn_tasks(self.config, tasks) if on_policy else tasks
         return played * collect.envs * collect.steps
 
     def env_steps(self, collected: int) -> int:

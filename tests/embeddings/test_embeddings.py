@@ -17,7 +17,7 @@ from ear_jax.config import Config
 from ear_jax.embeddings import adapt as adaptation
 from ear_jax.embeddings import cem, ltes
 from ear_jax.embeddings.adapt import adapt
-from ear_jax.embeddings.codes import blend, fibonacci_sphere, slerp
+from ear_jax.embeddings.codes import blend, fibonacci_sphere, slerp, spread_codes
 from ear_jax.embeddings.evaluate import evaluate, evaluate_code
 from ear_jax.embeddings.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.embeddings.interpolate import _check_reach as check_reach
@@ -59,6 +59,13 @@ def test_slerp_of_a_code_with_itself_is_that_code():
     np.testing.assert_allclose(slerp(code, code, 0.3), code, atol=1e-6)
 
 
+def test_slerp_through_opposite_codes_takes_a_great_circle():
+    code = unit_vector(jnp.array([1.0, 2.0, 3.0]))
+    halfway = slerp(code, -code, 0.5)
+    assert np.linalg.norm(halfway) == pytest.approx(1, abs=1e-5)
+    assert float(halfway @ code) == pytest.approx(0, abs=1e-5)
+
+
 def test_slerp_moves_at_constant_angle():
     angles = [
         np.degrees(np.arccos(np.dot(slerp(jnp.eye(3)[0], jnp.eye(3)[1], beta), np.eye(3)[1])))
@@ -73,6 +80,8 @@ def test_sphere_is_covered_evenly():
     np.testing.assert_allclose(points.mean(0), 0, atol=1e-2)
     distance = np.arccos(np.clip(points @ points.T, -1, 1)) + 9 * np.eye(500)
     assert distance.min() > 0.06, "radians; 500 even points are about 0.15 apart"
+    circle = spread_codes(8, 2)
+    np.testing.assert_allclose((circle * np.roll(circle, 1, axis=0)).sum(axis=1), np.cos(np.pi / 4), atol=1e-6)
 
 
 def test_beta_search_finds_the_closed_form(toy):
@@ -109,6 +118,8 @@ def test_neighbours_of_directions_wrap():
     ends = [End(str(angle), angle, np.zeros((1, 3))) for angle in (90.0, 0.0, 270.0, 180.0)]
     found = [(one.target, other.target) for one, other in adjacent_pairs(ends, family)]
     assert found == [(0, 90), (90, 180), (180, 270), (270, 0)]
+    twins = [End(str(place), 90.0, np.zeros((1, 3))) for place in range(2)]
+    assert adjacent_pairs(twins, family) == [], "there is nothing between them"
     assert family.difference(350.0, 10.0) == -20
     assert family.difference(10.0, 350.0) == 20
 
@@ -302,4 +313,6 @@ def test_a_fingerprint_tells_policies_apart(toy):
 def test_codes_that_cannot_be_played_are_refused(codes, episodes, complaint):
     trained = load(Path("pretrained:hopper-vel"))
     with pytest.raises(UsageError, match=complaint):
-        evaluate_code(trained, codes, episodes, 0)
+        evaluate_code(trained, codes.tolist(), episodes, 0)
+    with pytest.raises(UsageError, match="episodes 0 is too small"):
+        evaluate(trained, 0, 0)

@@ -9,6 +9,7 @@ import pytest
 from ear_jax.config import Config
 from ear_jax.embeddings.front import pareto_front, trade
 from ear_jax.errors import UsageError
+from ear_jax.learning.episodes import late_steps
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
 from tests.helpers.obedient import CODES, obedient
@@ -49,3 +50,10 @@ def test_between_two_wishes_lie_the_codes_that_trade(toy):
 def test_a_trade_off_has_two_sides(toy, rewards):
     with pytest.raises(UsageError, match=f"between two rewards, not {len(rewards)}"):
         trade(toy, rewards)
+    with pytest.raises(UsageError, match="give a list of"):
+        trade(toy, lambda outcome: outcome["action"])
+
+
+def test_the_second_half_of_an_episode_begins_with_its_middle():
+    late = late_steps(np.array([0, 1, 4, 5]), 6)
+    assert [np.flatnonzero(steps).tolist() for steps in late] == [[], [0], [2, 3], [2, 3, 4]]

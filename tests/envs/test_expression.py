@@ -108,6 +108,21 @@ def test_a_column_counts_letters_not_bytes():
         parse_expression("height + é", NAMES)
 
 
+def test_sides_of_chained_comparisons_are_computed_once():
+    text = "velocity"
+    for _ in range(12):
+        text = f"1 < ({text}) < 1"
+    read = []
+
+    class Outcome(dict):
+        def __getitem__(self, name: str) -> float:
+            read.append(name)
+            return 0.5
+
+    parse_expression(text, NAMES)(Outcome())
+    assert read == ["velocity"]
+
+
 def test_an_expression_is_compiled_for_many_outcomes_at_once():
     expression = parse_expression("sqrt(velocity) if velocity > 0 else exp(height)", NAMES)
     many = {name: jnp.linspace(-1, 1, 5) for name in NAMES}

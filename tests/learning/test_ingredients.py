@@ -238,6 +238,7 @@ def test_critics_with_batch_norm_solve_it_with_unit_weights_and_moving_statistic
     [
         ({"sac": {"policy_share": 3}}, "--sac.policy-share 3 does not divide the 32 transitions"),
         ({"network": {"critic_bins": 11}}, "--network.critic-bins needs --sac.return-scale"),
+        ({"sac": {"return_scale": 10.0, "discount": 1.0}}, "--sac.return-scale needs --sac.discount below 1"),
         ({"network": {"critic_bins": 1}}, "--network.critic-bins 1 is out of range; it must be 0, for a scalar value"),
         ({"network": {"critic_batch_norm": True, "critic_blocks": 1}}, "build other critics; leave out one"),
     ],

@@ -73,6 +73,8 @@ FUNCTIONS = [
     lambda x: (jnp.all(x < 9), jnp.any(jnp.isnan(x)), jnp.max(x), jnp.prod(x[:3]), ~(x[0] > x[1])),
     lambda x: jnp.linalg.norm(x) * jax.nn.relu(x) + jax.nn.gelu(x),
     lambda x: x[jnp.array([3, 1, 1])] + jnp.pad(x[:1], (1, 1)),
+    lambda x: (jnp.round(2 * x) / 2, jnp.round(jnp.round(4 * x) / 2), jax.lax.round(jnp.round(4 * x) / 2)),
+    lambda x: ((9 * x).astype(int) // 2, jax.lax.div((9 * x).astype(int), 4), (9 * x).astype(int) % 3),
     lambda x: jnp.arctan2(x[0], x[1]) % 360 + jnp.floor(5 * x[2]).astype(int) + x[3].astype(jnp.bfloat16),
     looped,
     jax.jit(lambda x: jax.lax.stop_gradient(x) ** 3 - x[:, None].squeeze()),
@@ -107,6 +109,7 @@ def test_what_the_page_cannot_compute_is_named():
         (lambda x: jnp.einsum("bi,bi->b", x, x + 1), "products of batches of matrices"),
         (lambda x: jnp.take(x, jnp.array([9]), mode="fill", fill_value=0.5), "from outside an array"),
         (lambda x: x.at[jnp.array([9])].get(mode="fill"), "from outside an array"),
+        (lambda x: x.astype(int) & 3, "JAX's operation 'and' of integers"),
     ):
         with pytest.raises(UsageError, match=words):
             translate(function, Constants(), jnp.eye(3))
@@ -211,15 +214,13 @@ class Own(Family):
         return mujoco.MjModel.from_xml_string(self.text)
 
 
-class Heavier(Own):
-    """The same, but heavier whenever it is loaded."""
-
-    mass = 1
-
-    def load(self):
-        spec = mujoco.MjSpec.from_string(self.text)
-        self.mass = spec.geoms[0].mass = self.mass + 1
-        return spec.compile()
+CHANGES = [
+    lambda model: model.body_mass.fill(2),
+    lambda model: setattr(model.opt, "density", 1000),
+    lambda model: model.geom_contype.fill(0),
+    lambda model: setattr(model.opt, "disableflags", mujoco.mjtDisableBit.mjDSBL_GRAVITY),
+    lambda model: model.jnt_limited.fill(1),
+]
 
 
 def test_models_are_handed_to_the_page_as_they_are():
@@ -227,8 +228,14 @@ def test_models_are_handed_to_the_page_as_they_are():
     assert own["margins"] == [0.01]
     model = mujoco.MjModel.from_xml_string(own["xml"])
     assert (model.nq, model.nu, model.body_mass[1]) == (1, 1, 1)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_model_that_moves_otherwise_is_refused(change):
+    family = Own("native")
+    change(family.model)
     with pytest.raises(UsageError, match="cannot rebuild the family's model"):
-        portable(Heavier("native"))
+        portable(family)
 
 
 def test_the_documents_own_family_can_be_live(tmp_path):

@@ -17,6 +17,12 @@ from ear_jax.errors import RunError, UsageError
 from ear_jax.physics.models import compile_model
 
 TOLERANCE = 1e-4  # relative; MJCF has six digits
+# Parts of a model that move it, and of these what is only seen, or set after compiling.
+MOVING = (
+    *("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nmocap", "neq", "ntendon", "nexclude", "npair"),
+    *("body_", "jnt_", "dof_", "geom_", "eq_", "tendon_", "wrap_", "exclude_", "pair_", "actuator_", "qpos"),
+)
+UNMOVING = ("geom_margin", "geom_rgba", "geom_matid", "geom_group", "tendon_rgba", "tendon_matid", "tendon_group")
 DEFAULT = ' input="pos"'  # of actuators: this MuJoCo writes it, and the browser's refuses it
 
 
@@ -52,17 +58,14 @@ def _sources(family: Family) -> Iterator[str]:
 
 def _same(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
     """Returns True if two models agree in all that moves them, except margins."""
-    sizes = ("nq", "nv", "nu", "nbody", "njnt", "ngeom", "nmocap", "neq", "ntendon")
-    if any(getattr(one, size) != getattr(other, size) for size in sizes):
-        return False
-    options = ("timestep", "integrator", "cone", "solver", "gravity", "iterations")
-    if not all(np.allclose(getattr(one.opt, name), getattr(other.opt, name)) for name in options):
-        return False
-    for name in dir(one):
-        if name.startswith(("body_", "jnt_", "dof_", "actuator_", "geom_", "eq_", "qpos")) and name != "geom_margin":
-            left, right = getattr(one, name), getattr(other, name)
-            if not isinstance(left, np.ndarray) or not np.issubdtype(left.dtype, np.floating):
-                continue
-            if left.shape != right.shape or not np.allclose(left, right, rtol=TOLERANCE, atol=1e-6):
-                return False
-    return True
+    parts = [(one.opt, other.opt, name) for name in dir(one.opt) if not name.startswith("_")]
+    parts += [(one, other, name) for name in dir(one) if name.startswith(MOVING) and name not in UNMOVING]
+    return all(_equal(getattr(left, name), getattr(right, name)) for left, right, name in parts)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    """Returns whether two values are equal up to the digits of MJCF, if they are numbers."""
+    left, right = np.asarray(one), np.asarray(other)
+    if not np.issubdtype(left.dtype, np.number) and left.dtype != bool:
+        return True
+    return left.shape == right.shape and np.allclose(left, right, rtol=TOLERANCE, atol=1e-6)

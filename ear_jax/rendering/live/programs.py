@@ -21,10 +21,12 @@ from ear_jax.errors import UsageError
 ELEMENTWISE = frozenset((
     "abs", "acos", "acosh", "add", "and", "asin", "asinh", "atan", "atan2", "atanh", "cbrt", "ceil", "clamp",
     "cos", "cosh", "div", "eq", "exp", "exp2", "expm1", "floor", "ge", "gt", "is_finite", "le", "log", "log1p",
-    "logistic", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow", "rem", "round", "rsqrt", "select_n",
-    "sign", "sin", "sinh", "sqrt", "square", "sub", "tan", "tanh", "xor",
+    "logistic", "lt", "max", "min", "mul", "ne", "neg", "not", "or", "pow", "rem", "round_away", "round_even",
+    "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt", "square", "sub", "tan", "tanh", "xor",
 ))
 # fmt: on
+TRUTHS = ("and", "not", "or", "xor")  # of truth values alone
+ROUNDINGS = {jax.lax.RoundingMethod.AWAY_FROM_ZERO: "round_away", jax.lax.RoundingMethod.TO_NEAREST_EVEN: "round_even"}
 REDUCTIONS = frozenset(("reduce_sum", "reduce_prod", "reduce_max", "reduce_min", "reduce_and", "reduce_or"))
 # Each number of the result is a number of an operand. Further operands are indices, which must be constant.
 # fmt: off
@@ -154,13 +156,17 @@ class _Program:
             return [self._converted(equation, operands[0])]
         if name == "integer_pow":
             name, operands = "pow", [*operands, np.full((), params["y"], np.float32)]
-        if name not in ELEMENTWISE:
-            raise UsageError(f"JAX's operation {name!r} cannot be translated")
+        if name == "round":
+            name = ROUNDINGS[params["rounding_method"]]
+        integers = jnp.issubdtype(_array(equation.outvars[0]).dtype, jnp.integer)
+        if name not in ELEMENTWISE or (integers and name in TRUTHS):
+            raise UsageError(f"JAX's operation {name!r}{' of integers' * integers} cannot be translated")
         shapes = [_array(atom).shape for atom in equation.invars] + [()] * (len(operands) - len(equation.invars))
         spread = [
             self._broadcast(*pair, _array(equation.outvars[0]).shape) for pair in zip(operands, shapes, strict=True)
         ]
-        return [self.step(name, size, *map(self.held, spread))]
+        result = self.step(name, size, *map(self.held, spread))
+        return [self.step("trunc", size, result) if integers and name == "div" else result]
 
     def _broadcast(self, value: Value, shape: tuple[int, ...], wanted: tuple[int, ...]) -> Value:
         """Repeats a value along axes of length 1; a single number stays one, as each step takes it as it is."""

@@ -76,7 +76,7 @@ def describe(trained: Trained, policy: int, places: int, seed: int) -> tuple[dic
 def translate_all(family: Family, agent: Agent, params: Params, constants: Constants) -> dict[str, Any]:
     """Translates a family and a policy into the page's programs.
 
-    A state is qpos, qvel, warmstart and, if the model has mocap bodies, their positions.
+    A state is qpos, qvel, warmstart and, where the model has them, positions of mocap bodies and activations.
     """
     physics, motion, obs, outcome = _shapes(family)
     action, code = jnp.zeros(family.action_size), jnp.zeros(agent.code_size)

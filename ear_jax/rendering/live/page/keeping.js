@@ -3,14 +3,14 @@
 const PLACE = "ear explore";
 
 export function makeKeeping(robot) {
-  let kept = read();
-  function read() {
-    try { return JSON.parse(localStorage.getItem(PLACE)) || {}; } catch { return {}; }
+  let kept = read() ?? {};
+  function read() {  // null where the browser stores nothing
+    try { return JSON.parse(localStorage.getItem(PLACE)); } catch { return null; }
   }
   return {
     all: () => Object.entries(kept[robot] || {}).map(([name, lte]) => ({ name, lte })),
     change(name, lte) {  // null forgets it
-      kept = { ...read(), ...kept };
+      kept = read() ?? kept;  // with what another page has kept meanwhile
       const { [name]: _, ...others } = kept[robot] || {};
       kept[robot] = lte ? { ...others, [name]: lte } : others;
       try { localStorage.setItem(PLACE, JSON.stringify(kept)); } catch { /* kept until the page is left */ }

@@ -26,6 +26,7 @@ const named = (task) => task.target === null ? task.name : signed(task.target, N
 // Puts a robot on the page; it stands in its first pose until MuJoCo is there.
 function open(index) {
   const description = data.robots[index], { tasks, view } = description;
+  show?.robot?.close();
   const quantities = description.quantities.map(withColours);
   show = {
     index, description, tasks, quantities, robot: null, owed: 0, fallen: 0, pose: view.first, changed: true, grasp: null,
@@ -165,15 +166,16 @@ function drawRobot() {
   const { robot, view, steering, pose } = show, quantity = show.quantities[show.quantity];
   const value = robot?.means()?.[quantity.name] ?? null, body = robot?.body ?? 1;
   const colour = value === null ? [150, 158, 168] : shade(quantity, value);
+  const asked = steering.task?.asks === show.quantity ? steering.task.target : null;
   const at = root();
   if (robot && reader.playing) view.leave(at[0], at[1], colour);
   const pull = robot?.pull;
   const force = pull && [place(pose, pull.body, pull.from), pull.to].map(view.camera.project);
   view.draw(pose, {
-    colour, value, quantity, body, palette: colours, task: steering.task, asked: steering.task?.target ?? null,
+    colour, value, quantity, body, asked, palette: colours, task: steering.task,
     force: force && !force.includes(null) ? force : robot?.push ? shoveArrow(at, robot.push.impulse) : null,
   });
-  trace.draw(quantity, robot?.time ?? 0, steering.task?.asks === show.quantity ? steering.task.target : null, colours);
+  trace.draw(quantity, robot?.time ?? 0, asked, colours);
 }
 function shoveArrow(at, impulse) {
   const size = Math.hypot(...impulse), ends = [-1.1, -.25].map((far) => at.map((part, axis) => part + far * impulse[axis] / size));

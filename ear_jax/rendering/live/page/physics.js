@@ -22,7 +22,9 @@ export function makeRobot(mj, description, constants) {
 
   const state = () => {
     const leaves = [data.qpos, data.qvel, data.qacc_warmstart];
-    return model.nmocap ? [...leaves, data.mocap_pos] : leaves;
+    if (model.nmocap) leaves.push(data.mocap_pos);
+    if (model.na) leaves.push(data.act);
+    return leaves;
   };
   const copied = () => state().map((leaf) => Float64Array.from(leaf));
   const look = () => ({ xpos: Float64Array.from(data.xpos), xmat: Float64Array.from(data.xmat) });
@@ -96,6 +98,7 @@ export function makeRobot(mj, description, constants) {
     named[description.quantities[0].name] = programs.achieved(...leaves, ...leaves)[0][0];
     return named;
   };
+  robot.close = () => { data.delete(); model.delete(); };  // MuJoCo's memory is not the browser's to free
   robot.act = (obs, code) => Array.from(programs.act(obs, code)[0]);
   robot.reset();
   return robot;

@@ -11,7 +11,8 @@ const ELEMENTWISE = {
   floor: Math.floor, ge: (a, b) => +(a >= b), gt: (a, b) => +(a > b), is_finite: (a) => +Number.isFinite(a),
   le: (a, b) => +(a <= b), log: Math.log, log1p: Math.log1p, logistic: (a) => 1 / (1 + Math.exp(-a)),
   lt: (a, b) => +(a < b), max: Math.max, min: Math.min, mul: (a, b) => a * b, ne: (a, b) => +(a !== b), neg: (a) => -a,
-  not: (a) => +!a, or: (a, b) => a || b, pow: Math.pow, rem: (a, b) => a % b, round: Math.round,
+  not: (a) => +!a, or: (a, b) => a || b, pow: Math.pow, rem: (a, b) => a % b,
+  round_away: (a) => Math.sign(a) * Math.round(Math.abs(a)), round_even: roundEven,
   rsqrt: (a) => 1 / Math.sqrt(a), select_n: (which, ...cases) => cases[which], sign: Math.sign, sin: Math.sin,
   sinh: Math.sinh, sqrt: Math.sqrt, square: (a) => a * a, sub: (a, b) => a - b, tan: Math.tan, tanh: Math.tanh,
   trunc: Math.trunc, xor: (a, b) => +(!a !== !b),
@@ -20,6 +21,9 @@ const REDUCTIONS = {
   reduce_sum: [0, ELEMENTWISE.add], reduce_prod: [1, ELEMENTWISE.mul], reduce_max: [-Infinity, Math.max],
   reduce_min: [Infinity, Math.min], reduce_and: [1, ELEMENTWISE.and], reduce_or: [0, ELEMENTWISE.or],
 };
+
+// Rounds a half to the even neighbour.
+function roundEven(a) { return Math.abs(a % 1) === .5 ? 2 * Math.round(a / 2) : Math.round(a); }
 
 // Rounds to 16 bits, to the nearest even.
 function bfloat16(a) {

@@ -19,7 +19,8 @@ export function makeRobotView(canvas, view, tasks) {
     sky(pen, scene.palette);
     floor(pen, scene.palette);
     if (camera.kind === "runs") distances(pen, scene.palette);
-    if (camera.kind === "roams") { way(pen, scene); compass(pen, pose, scene); }
+    if (camera.kind === "roams") way(pen, scene);
+    if (camera.kind === "roams" && scene.quantity.period === 360) compass(pen, pose, scene);
     if (camera.kind !== "fixed") shadow(pen, pose);
     const still = [], moving = [];
     for (const shape of view.shapes) collect(shape, pose, scene, shape.body ? moving : still);
