@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from functools import partial
 from operator import itemgetter
 from typing import Any
@@ -16,9 +18,11 @@ from ear_jax.learning.episodes import Episodes, achieved, play
 from ear_jax.process.runtime import compiler_options
 from ear_jax.runs import training
 from ear_jax.runs.rollouts import check_rollouts
-from ear_jax.runs.trained import Trained, for_each_seed
+from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program, evaluation_keys
 from ear_jax.tasks import any_task
+
+KEPT = 4  # compiled functions of each kind, of programs and numbers of episodes
 
 
 def play_codes(program: Program, policy: Params, codes: jax.Array, key: jax.Array, episodes: int) -> Episodes:
@@ -50,9 +54,7 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
     config, count = program.config, program.config.seeds
     check_rollouts(program, count * len(program.tasks) * episodes, program.family.episode_length)
     keys = evaluation_keys(jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), jnp.arange(count)), 0)
-    options = compiler_options()
-    start = jax.jit(jax.vmap(lambda key: training.evaluation_starts(program, key, episodes)), compiler_options=options)
-    play_all = jax.jit(jax.vmap(partial(training.evaluate_from, program)), compiler_options=options)
+    start, play_all = _compiled(program, episodes)
     starts = start(keys)
     played = jax.device_get(play_all(trained.policies, starts))
     seeds = [
@@ -80,6 +82,14 @@ def evaluate(trained: Trained, episodes: int, seed: int) -> dict[str, Any]:
     }
 
 
+@functools.lru_cache(maxsize=KEPT)
+def _compiled(program: Program, episodes: int) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Returns functions that start and play the evaluation of all seeds; a program that is asked again has them."""
+    options = compiler_options()
+    start = jax.jit(jax.vmap(lambda key: training.evaluation_starts(program, key, episodes)), compiler_options=options)
+    return start, jax.jit(jax.vmap(partial(training.evaluate_from, program)), compiler_options=options)
+
+
 def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) -> dict[str, Any]:
     """Plays every seed's policy under a given code.
 
@@ -105,11 +115,8 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
     _check_episodes(episodes)
     check_rollouts(program, program.config.seeds * episodes, family.episode_length)
 
-    def of_seed(policy: Params, key: jax.Array, code: jax.Array) -> tuple[Episodes, jax.Array]:
-        played = play_codes(program, policy, program.agent.project(code)[None], key, episodes)
-        return played, achieved(family, played)
-
-    played, reached = for_each_seed(trained, of_seed, seed, codes)
+    keys = jax.random.split(jax.random.key(seed), program.config.seeds)
+    played, reached = jax.device_get(_compiled_for_codes(program, episodes)(trained.policies, keys, codes))
     return {
         "run": trained.name,
         "episodes": episodes,
@@ -127,6 +134,17 @@ def evaluate_code(trained: Trained, codes: jax.Array, episodes: int, seed: int) 
             for index in range(program.config.seeds)
         ],
     }
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _compiled_for_codes(program: Program, episodes: int) -> Callable[..., Any]:
+    """Returns a function that plays every seed's policy under a code; a program that is asked again has it."""
+
+    def of_seed(policy: Params, key: jax.Array, code: jax.Array) -> tuple[Episodes, jax.Array]:
+        played = play_codes(program, policy, program.agent.project(code)[None], key, episodes)
+        return played, achieved(program.family, played)
+
+    return jax.jit(jax.vmap(of_seed), compiler_options=compiler_options())
 
 
 def _check_episodes(episodes: int) -> None:

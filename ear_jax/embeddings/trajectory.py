@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import jax
@@ -15,6 +17,8 @@ from ear_jax.process.runtime import compiler_options
 from ear_jax.runs.rollouts import check_rollouts
 from ear_jax.runs.training import Program
 from ear_jax.tasks import any_task
+
+KEPT = 4  # compiled functions, of programs and numbers of steps
 
 
 @dataclass(frozen=True)
@@ -50,23 +54,28 @@ def follow(program: Program, policy: Params, codes: jax.Array, steps: int, key: 
     Raises:
       RunError: the steps do not fit in memory.
     """
-    family, env = program.family, PoseEnv(program.family, resets=False)
-    check_rollouts(program, len(codes), steps + 1, family.model.nq)
-    # One more step, for the pose before it.
-    still = jnp.zeros((steps + 1, len(codes), 1, family.action_size))
-    task = any_task(program.tasks.params)
-
-    def play(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
-        env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), env.start(key, task, 1))
-        act = act_with(program.agent, policy, codes)
-        played: tuple[dict[str, jax.Array], jax.Array] = rollout(env, act, env_states, still, outcome_and_over)[1]
-        return played
-
-    outcomes, over = jax.device_get(jax.jit(play, compiler_options=compiler_options())(policy, codes, key))
+    check_rollouts(program, len(codes), steps + 1, program.family.model.nq)
+    outcomes, over = jax.device_get(_compiled(program, steps)(policy, codes, key))
     return [
         until_over(program, {name: value[:, row, 0] for name, value in outcomes.items()}, over[:, row, 0])
         for row in range(len(codes))
     ]
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _compiled(program: Program, steps: int) -> Callable[..., tuple[dict[str, jax.Array], jax.Array]]:
+    """Returns a function that plays codes [rows, code] with one seed's policy; the next seed has it compiled."""
+    family, env = program.family, PoseEnv(program.family, resets=False)
+
+    def play(policy: Params, codes: jax.Array, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        begun = env.start(key, any_task(program.tasks.params), 1)
+        env_states = jax.tree.map(lambda leaf: jnp.repeat(leaf, len(codes), 0), begun)
+        still = jnp.zeros((steps + 1, len(codes), 1, family.action_size))  # one more, for the pose before it
+        act = act_with(program.agent, policy, codes)
+        played: tuple[dict[str, jax.Array], jax.Array] = rollout(env, act, env_states, still, outcome_and_over)[1]
+        return played
+
+    return jax.jit(play, compiler_options=compiler_options())
 
 
 def outcome_and_over(step: Transition) -> tuple[dict[str, jax.Array], jax.Array]:

@@ -47,9 +47,12 @@ class TrainState:
         return replace(self, replay=None)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Program:
-    """A configuration with the family, agent and learner it names."""
+    """A configuration with the family, agent and learner it names.
+
+    A program equals itself only, so that functions compiled for it can be kept by it.
+    """
 
     config: Config
     family: Family
