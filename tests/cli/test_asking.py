@@ -10,6 +10,7 @@ import pytest
 from ear_jax.cli.adapt import _better as better
 from ear_jax.cli.main import main
 from ear_jax.embeddings import imagine, survey
+from tests.helpers.documented import check_keys
 
 SMALL = ["--epochs", "1", "--elites", "2", "--samples", "1", "--episodes", "1"]
 
@@ -79,6 +80,7 @@ def test_a_trade_off_is_drawn(finished, few, capsys):
 def test_what_a_run_replayed_is_imagined(finished, few, capsys):
     assert main(["imagine", str(finished), "--updates", "20", "--cells", "8", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
+    check_keys("imagination", {key: value for key, value in document.items() if key != "figures"})
     assert (document["source"], document["env_steps"]) == ("replay", 0)
     assert document["transitions"] == 2 * 200, "two tasks with rings of 400, half full"
     assert len(document["seeds"]) == 2
@@ -97,6 +99,8 @@ def test_a_profile_is_followed(finished, few, capsys):
     small = ["--epochs", "2", "--candidates", "10", "--starts", "1", "--episodes", "2", "--no-film"]
     assert main(["follow", str(finished), "--profile", "0:1, 2:3", *small, "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
+    del document["survey_env_steps"]  # of the command alone
+    check_keys("following", {key: value for key, value in document.items() if key != "figures"})
     assert document["env_steps"] == 2 * 2 * 10 * 1 * 40
     for seed in document["seeds"]:
         assert list(seed["ways"]) == ["look-up", "spline"]

@@ -13,6 +13,7 @@ from ear_jax.envs import make_family
 from ear_jax.figures.compose import draw_compose
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
+from tests.helpers.documented import check_keys
 from tests.helpers.obedient import CODES, obedient
 from tests.helpers.probe import Slider
 
@@ -24,6 +25,7 @@ def test_outcomes_follow_the_formula_past_the_time_limit():
     trained = Trained("toy", program, jnp.zeros((1, 1)), 0)
     betas = (1.0, 0.5, 0.25)
     document = compose(trained, *trained_ends(trained), betas, steps=9, seed=0)
+    check_keys("composition", document)
     blends = document["seeds"][0]["blends"]
     b = 1 - 2 * np.array(betas)
     np.testing.assert_allclose([blend["outcome"]["action"] for blend in blends], b / np.sqrt(b**2 + 3), atol=1e-4)

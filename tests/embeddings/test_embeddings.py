@@ -21,7 +21,7 @@ from ear_jax.embeddings.codes import blend, fibonacci_sphere, slerp, spread_code
 from ear_jax.embeddings.evaluate import evaluate, evaluate_code
 from ear_jax.embeddings.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.embeddings.interpolate import _check_reach as check_reach
-from ear_jax.embeddings.map import LteMap, check_sphere, code_for_target
+from ear_jax.embeddings.map import LteMap, check_sphere, code_for_target, describe, play_maps
 from ear_jax.embeddings.search import Search
 from ear_jax.envs.ant_dir import AntDir
 from ear_jax.errors import UsageError
@@ -30,6 +30,7 @@ from ear_jax.presets import preset_config
 from ear_jax.runs.trained import Trained, load
 from ear_jax.runs.training import Program
 from ear_jax.tasks import task_set
+from tests.helpers.documented import check_keys
 from tests.helpers.obedient import CODES, obedient
 from tests.helpers.probe import Bandit, Slider
 
@@ -86,7 +87,9 @@ def test_sphere_is_covered_evenly():
 
 def test_beta_search_finds_the_closed_form(toy):
     """The blend's first number is b/√(b² + 3), b = 1 − 2β: 0.2 asks for b = 0.2 √3 / √0.96."""
-    found = interpolate(toy, [tuple(trained_ends(toy))], target=0.2, episodes=1, seed=0)["pairs"][0]
+    document = interpolate(toy, [tuple(trained_ends(toy))], target=0.2, episodes=1, seed=0)
+    check_keys("interpolation", document)
+    (found,) = document["pairs"]
     exact = (1 - 0.2 * np.sqrt(3) / np.sqrt(0.96)) / 2
     assert found["beta"] == pytest.approx(exact, abs=0.006)
     assert found["outcome"] == pytest.approx(0.2, abs=0.005)
@@ -152,8 +155,14 @@ def test_failures_are_episodes_that_end_before_their_time(toy):
     whole = Program(Config("slider"), slider, slider.training_tasks(), obedient(CODES), None)  # type: ignore[arg-type]
     for trained, failures in ((toy, 3), (Trained("whole", whole, jnp.zeros((1, 1)), 0), 0)):
         document = evaluate(trained, episodes=3, seed=0)
+        check_keys("evaluation", document)
         assert [task["failures"] for task in document["seeds"][0]["tasks"]] == [failures, failures]
         assert document["failed_tasks"] == {"failed": 2 * (failures > 0), "total": 2}
+
+
+def test_a_map_and_an_lte_are_told_of(toy):
+    check_keys("map", describe(toy, play_maps(toy, 20, 1, 0)))
+    check_keys("evaluation of an LTE", evaluate_code(toy, np.eye(3)[:1], 1, 0))
 
 
 def test_betas_are_the_papers():
@@ -164,6 +173,7 @@ def test_a_map_of_the_sphere_answers_without_search(toy):
     targets = (0.3, -0.7)
     tasks = task_set([toy.program.family.parse_task(str(target)) for target in targets])
     document = adapt(toy, tasks, None, episodes=1, seed=0)
+    check_keys("adaptation", document)
     assert document["env_steps"] == 0
     for task, target in zip(document["tasks"], targets, strict=True):
         assert task["epochs"] == []

@@ -23,6 +23,7 @@ from ear_jax.errors import UsageError
 from ear_jax.physics import Physics
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
+from tests.helpers.documented import check_keys
 from tests.helpers.obedient import CODES, obedient
 from tests.helpers.probe import TABLE, Bandit
 
@@ -101,6 +102,7 @@ def test_way_points_are_met_from_where_the_robot_is(puck):
     course = course_of(trained.program.family, None, "2 0, 2 2, 0 2, 0 0", survey)
     assert course.speed == pytest.approx(PACE * np.sqrt(0.75), abs=0.01)  # half of a sphere lies below that radius
     document, trajectories = follow_course(trained, survey, course, SplineSearch(), 2, 0)
+    check_keys("following", document)
     way = document["seeds"][0]["ways"]["pursuit"]
     cut = LEAD * course.speed
     assert cut / 2 < way["error"] < 1.2 * cut

@@ -12,6 +12,7 @@ from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import late_steps
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
+from tests.helpers.documented import check_keys
 from tests.helpers.obedient import CODES, obedient
 from tests.helpers.probe import Slider
 
@@ -37,6 +38,7 @@ def test_a_front_equals_the_rows_that_none_dominates():
 def test_between_two_wishes_lie_the_codes_that_trade(toy):
     """The rewards are best at the actions 0.3 and −0.3, so every action between them is on the front."""
     document = trade(toy, ["-(action - 0.3)**2", "-(action + 0.3)**2"], places=300)
+    check_keys("front", document)
     (seed,) = document["seeds"]
     actions = np.array(seed["ltes"])[:, 0]
     inside = np.flatnonzero(np.abs(actions) < 0.29)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from ear_jax.embeddings.lse import analyse, autocorrelation, first_peak, principal_components, record_signals
+from ear_jax.embeddings.lse import analyse, autocorrelation, first_peak, lse, principal_components, record_signals
 from ear_jax.errors import UsageError
+from ear_jax.runs.trained import load
+from tests.helpers.documented import check_keys
 
 STEPS = np.arange(120)
 
@@ -59,6 +62,13 @@ def test_a_period_is_no_multiple_of_itself(period, noise, seed):
 def test_a_pattern_that_repeats_only_at_every_other_beat_has_the_longer_period():
     """The short part alone repeats after 6 steps, but half of the signal does not."""
     assert analyse(gait(6, 0.05, 0, ((12, 1.0),))).period == 12
+
+
+def test_a_gait_is_told_of():
+    trained = load(Path("pretrained:halfcheetah-vel"))
+    document = lse(trained, "vel-6", 0)
+    check_keys("lse", document)
+    assert 0 < document["seeds"][0]["lse"]["period"] < 1
 
 
 def test_an_agent_without_an_lse_is_refused():

@@ -19,6 +19,7 @@ from ear_jax.learning.measure import MeasureConfig, late_in_episode, learn_measu
 from ear_jax.learning.replay import Experience
 from ear_jax.runs.trained import Trained
 from ear_jax.runs.training import Program
+from tests.helpers.documented import check_keys
 from tests.helpers.obedient import CODES, obedient
 from tests.helpers.probe import Slider
 
@@ -40,6 +41,7 @@ def test_the_best_code_of_a_reward_is_found_in_every_way(toy, monkeypatch):
 
     asked = ("-(action - 0.3)**2", "1 if -0.8 < action < -0.6 else 0", squared)
     document = adapt_to_rewards(toy, asked, Search(epochs=4, sigma=0.3), 1, places=PLACES)
+    check_keys("adaptation to rewards", document)
     near, window, ends = document["tasks"]
     for way in ("map", "search"):
         assert near["answers"][way]["lte"][0] == pytest.approx(0.3, abs=0.05)

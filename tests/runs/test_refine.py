@@ -18,6 +18,7 @@ from ear_jax.runs import refine as refining
 from ear_jax.runs import safetensors, training
 from ear_jax.runs.refine import Refinement, refine
 from ear_jax.runs.trained import policy_of
+from tests.helpers.documented import check_keys
 from tests.helpers.teachable import on_clock
 
 SMALL = Refinement(12, Ppo(episodes=4, batch=40))
@@ -142,6 +143,7 @@ def test_it_learns_under_other_options_and_tells_returns_under_the_runs(toy, who
 
     monkeypatch.setattr(training, "family_with", family_with)
     refined, document = refine(toy, replace(SMALL, options={"toll": 1.0}), 1, 3)
+    check_keys("refinement", document)
     assert document["options"] == refined.about["refined"]["options"] == {"toll": 1.0}
     for entry, usual in zip(document["seeds"], whole[1]["seeds"], strict=True):
         assert entry["returns_before"] == usual["returns_before"]
