@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,7 +11,7 @@ from ear_jax.cli.arguments import check_finite, check_least, option, parse, shie
 from ear_jax.cli.on_run import OnRun
 from ear_jax.cli.results import check_writable, keep, label_of, print_table, show_and_keep
 from ear_jax.embeddings import ltes
-from ear_jax.errors import UsageError, counted, plain
+from ear_jax.errors import RunError, UsageError, counted, plain
 from ear_jax.process.terminal import phase, say
 
 if TYPE_CHECKING:
@@ -67,7 +68,6 @@ def _adapt(command: AdaptCommand, trained: Trained) -> None:
     from ear_jax.embeddings.adapt import adapt
     from ear_jax.embeddings.search import Search, episodes_an_epoch
     from ear_jax.envs import find_task
-    from ear_jax.figures.adapt import draw_adapt
     from ear_jax.tasks import task_set
 
     family = trained.program.family
@@ -82,9 +82,7 @@ def _adapt(command: AdaptCommand, trained: Trained) -> None:
     with phase("mapping the LTE sphere" if command.zero_shot else searching):
         chosen = None if command.zero_shot else search
         document = adapt(trained, tasks, chosen, command.episodes, command.seed, within_reach=bool(named))
-    kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
-    show_and_keep(document, command.json, partial(_print, unit=family.unit), kept)
-    _save(command, trained, document, "--target")
+    _show(command, trained, document, partial(_print, unit=family.unit))
 
 
 def _ask(command: AdaptCommand, trained: Trained) -> None:
@@ -93,7 +91,6 @@ def _ask(command: AdaptCommand, trained: Trained) -> None:
     from ear_jax.embeddings.search import Search
     from ear_jax.embeddings.survey import PLACES
     from ear_jax.envs.asked import reward_functions
-    from ear_jax.figures.adapt import draw_adapt
 
     rewards = reward_functions(trained.program.family, [text.strip() for text in command.reward])
     search = Search(command.epochs, command.elites, command.samples, command.sigma)
@@ -104,9 +101,7 @@ def _ask(command: AdaptCommand, trained: Trained) -> None:
     with phase(f"adapting to {counted(len(command.reward), 'reward')}"):
         chosen = None if command.zero_shot else search
         document = adapt_to_rewards(trained, rewards, chosen, command.episodes, command.seed, PLACES)
-    kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
-    show_and_keep(document, command.json, _print_rewards, kept)
-    _save(command, trained, document, "--reward")
+    _show(command, trained, document, _print_rewards)
 
 
 def _check(command: AdaptCommand) -> None:
@@ -161,15 +156,32 @@ def _check_save(name: str, trained: Trained) -> None:
     raise UsageError(f"--save {name} would hide the task {task}; choose another name")
 
 
-def _save(command: AdaptCommand, trained: Trained, document: dict[str, Any], asked_by: str) -> None:
-    """Saves the LTEs found, if asked to, and says so; of a search's and the map's the one that returned more."""
-    if command.save is None:
-        return
+def _show(
+    command: AdaptCommand, trained: Trained, document: dict[str, Any], print_text: Callable[[dict[str, Any]], None]
+) -> None:
+    """Saves LTEs if asked to, keeps the document and shows it; raises RunError, last, if LTEs cannot be saved."""
+    from ear_jax.figures.adapt import draw_adapt
+
+    failed = None
+    try:
+        if command.save is not None:
+            _save(command, trained, document, command.save)
+    except RunError as error:
+        failed = error
+    kept = partial(keep, trained.directory, "adaptation", label_of(command), document, draw_adapt)
+    show_and_keep(document, command.json, print_text, kept)
+    if failed:
+        raise failed
+
+
+def _save(command: AdaptCommand, trained: Trained, document: dict[str, Any], name: str) -> None:
+    """Saves the LTEs found under a name and says so; of a search's and the map's the one that returned more."""
     found = [_better(task) for task in document["tasks"]]
-    codes, name = [lte for _, lte in found], document["tasks"][0]["name"]
-    ltes.save(trained.directory, command.save, name, codes, trained.fingerprint, asked_by)
+    codes, task = [lte for _, lte in found], document["tasks"][0]["name"]
+    asked_by = "--reward" if command.reward else "--target"
+    ltes.save(trained.directory, name, task, codes, trained.fingerprint, asked_by)
     ways = " and ".join(dict.fromkeys(way for way, _ in found))
-    say(f"saved as {command.save}: the LTE found by {ways}; other commands take it as --lte {command.save}")
+    say(f"saved as {name}: the LTE found by {ways}; other commands take it as --lte {name}")
 
 
 def _better(task: dict[str, Any]) -> tuple[str, list[float]]:

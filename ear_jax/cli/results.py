@@ -79,20 +79,28 @@ def show_and_keep(
 ) -> None:
     """Prints a document, keeps it, and prints the paths of its figures; warns if it cannot be kept.
 
+    It is kept though nobody reads what is printed; the error of printing is raised afterwards.
+
     Args:
       document: the results.
       as_json: print one JSON document, which holds the paths as `figures`.
       print_text: prints the document otherwise.
       keep: writes the results and returns the paths of the figures.
     """
-    if not as_json:
-        print_text(document)
-        sys.stdout.flush()
+    unread = None
+    try:
+        if not as_json:
+            print_text(document)
+            sys.stdout.flush()
+    except OSError as error:
+        unread = error
     try:
         pictures = keep()
     except (RunError, OSError) as error:
         say(f"warning: these results are not kept: {error}")
         pictures = []
+    if unread:
+        raise unread
     if as_json:
         print(json.dumps({**document, "figures": [str(path) for path in pictures]}))
     else:

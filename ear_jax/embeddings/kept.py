@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 
+from ear_jax.envs.signature import first_change
 from ear_jax.errors import RunError
 from ear_jax.runs import safetensors
 from ear_jax.runs.trained import Trained
@@ -16,6 +18,8 @@ Shape = tuple[int | None, ...]  # None: any size
 def write_kept(path: Path, arrays: dict[str, np.ndarray], trained: Trained, kind: str) -> None:
     """Writes arrays of one kind, as in `ear_jax survey 1`; raises RunError if they cannot be written."""
     metadata = {"format": kind, "policy": trained.fingerprint, "engine": trained.program.family.engine.name}
+    if signature := trained.program.signature:
+        metadata["signature"] = json.dumps(signature)
     safetensors.write(path, arrays, {**metadata, "sha256": safetensors.digest(arrays, metadata)})
 
 
@@ -32,6 +36,8 @@ def read_kept(path: Path, shapes: dict[str, Shape], trained: Trained, kind: str)
         raise RunError(f"{path} is damaged: it differs from its checksum")
     if (metadata.get("policy"), metadata.get("engine")) != (trained.fingerprint, trained.program.family.engine.name):
         raise RunError(f"{path} is of another policy or engine")
+    if first_change(json.loads(metadata.get("signature", "{}")), trained.program.signature or {}):
+        raise RunError(f"{path} is of other code of the family")
     if arrays.keys() != shapes.keys() or not all(_fits(arrays[name].shape, shapes[name]) for name in shapes):
         raise RunError(f"{path} is of another family")
     return arrays

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from ear_jax.config import Config
+from ear_jax.envs.signature import first_change
 from ear_jax.learning.episodes import Episodes
 from ear_jax.learning.sac_state import CRITICS
 from ear_jax.process import hosts
@@ -42,6 +43,7 @@ def about(program: Program, config: Config) -> dict[str, Any]:
         "tasks": program.tasks.document,
         "parameters": program.agent.parameter_counts,
         "fingerprint": program.tasks.fingerprint,
+        **({"signature": program.signature} if program.signature else {}),
         "engine": program.family.engine.name,
         "replay": config.checkpoint.replay,
         **({"runs_side_by_side": beside} if beside > 1 else {}),
@@ -54,6 +56,13 @@ def differences(document: dict[str, Any], program: Program) -> list[str]:
     now = {"engine": program.family.engine.name, **records.versions()}
     before = {"engine": document["engine"], **document["versions"]}
     return [f"{name} was {before[name]}, is {value}" for name, value in now.items() if before.get(name, value) != value]
+
+
+def changed_code(holder: Path, document: dict[str, Any], program: Program) -> str | None:
+    """Tells in words that a user's family is not the one that a run or file was trained on; None if it seems to be."""
+    before = document.get("signature")
+    part = first_change(before, program.signature) if before and program.signature else None
+    return f"{holder} was trained on other code of its family: {part} is not what it was" if part else None
 
 
 def rows_of(

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from ear_jax.config import Config
-from ear_jax.errors import RunError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.process import hosts
 from ear_jax.runs import checkpoint
 from ear_jax.runs.checkpoint import Step
 from ear_jax.runs.directory import check_settings, check_tasks
-from ear_jax.runs.documents import about
+from ear_jax.runs.documents import about, changed_code
 from ear_jax.runs.failure import NAME, reported
 from ear_jax.runs.history import FIRST, History, read_history, write_history
 from ear_jax.runs.training import Program
@@ -135,3 +135,5 @@ def ignore(_: str) -> None:
 def _check_same(holder: Path, document: dict[str, Any], config: Config, program: Program) -> None:
     check_settings(holder, document, config)
     check_tasks(holder, document, program.tasks)
+    if changed := changed_code(holder, document, program):
+        raise UsageError(f"{changed}; use another --out")

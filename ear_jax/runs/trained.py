@@ -24,6 +24,7 @@ from ear_jax.process.terminal import say
 from ear_jax.runs import checkpoint, training
 from ear_jax.runs.checkpoint import Step
 from ear_jax.runs.directory import check_path, check_tasks
+from ear_jax.runs.documents import changed_code
 from ear_jax.runs.export import read_about, read_policy, write_policy
 from ear_jax.runs.history import read_step
 from ear_jax.runs.leaves import first_difference, layout, named_leaves, rebuild
@@ -248,6 +249,8 @@ def _program(holder: Path, about: dict[str, Any], family: str | None, engine: st
         raise UsageError(f"{holder} was trained on family {config.family}, not {family}")
     program = training.make_program(replace(config, family=family or config.family, engine=engine))
     check_tasks(holder, about, program.tasks)
+    if changed := changed_code(holder, about, program):
+        say(f"warning: {changed}, so its policies may do otherwise here")
     return program
 
 

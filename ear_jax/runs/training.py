@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,8 +16,9 @@ from ear_jax.agents import Agent
 from ear_jax.agents.equivariant import equivariant
 from ear_jax.agents.networks import Params
 from ear_jax.config import Config
-from ear_jax.envs import Family, find_task, make_family, spread_tasks
+from ear_jax.envs import FAMILIES, Family, find_task, make_family, spread_tasks
 from ear_jax.envs.batched_env import BatchedEnv, EnvState
+from ear_jax.envs.signature import Signature, signature_of
 from ear_jax.errors import UsageError
 from ear_jax.learning.batch import drawn_tasks
 from ear_jax.learning.episodes import Episodes, play_from, starts
@@ -71,6 +73,11 @@ class Program:
     def env_steps(self, collected: int) -> int:
         """Returns the environment steps of one seed in a number of epochs of collection."""
         return self.env_steps_per_epoch * collected
+
+    @functools.cached_property
+    def signature(self) -> Signature | None:
+        """Numbers by which the code of a user's family is recognised; None for a family that ships."""
+        return None if self.config.family in FAMILIES else signature_of(self.family, self.tasks)
 
 
 def make_program(config: Config) -> Program:

@@ -67,6 +67,17 @@ class Command:
     json: bool = False
 
 
+def test_results_are_kept_though_their_reader_has_left():
+    kept = []
+
+    def left(_: Any) -> None:
+        raise BrokenPipeError
+
+    with pytest.raises(BrokenPipeError):
+        show_and_keep({"answer": 42}, False, left, lambda: kept.append("kept") or [])
+    assert kept == ["kept"]
+
+
 def test_outputs_of_other_options_have_other_names():
     """Every option but those that change nothing is in the name, and equal options give equal names."""
     others = [

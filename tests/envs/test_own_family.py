@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -14,6 +15,7 @@ import pytest
 
 from ear_jax.cli.main import main
 from ear_jax.envs import FAMILIES, find_family, make_family
+from ear_jax.envs.signature import first_change, signature_of
 from ear_jax.errors import UsageError
 from ear_jax.runs import loop, records
 from ear_jax.runs.loop import train_run
@@ -45,6 +47,48 @@ def test_the_documents_family_is_what_it_says(family_file):
     assert float(after.reward) == pytest.approx(1 - abs(position + 0.6) - 0.01 * 0.25, abs=1e-6)
     leaning = state.pipeline_state.replace(qpos=jnp.array([0.0, 0.21]))
     assert (bool(family.terminated(leaning)), bool(family.terminated(state.pipeline_state))) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("part", "old", "new"),
+    [
+        ("reward", "- 0.01 *", "- 0.02 *"),
+        ("outcome", "motion.after.qpos[0]", "motion.before.qpos[0]"),
+        ("observe", "physics.qpos, physics.qvel", "physics.qvel, physics.qpos"),
+        ("terminated", "> 0.2", "> 0.25"),
+        ("initial", "key, 0.05,", "key, 0.04,"),
+        ("load", "substeps = 2", "substeps = 3"),
+        (
+            "actuate",
+            "    def terminated",
+            "    def actuate(self, physics, action):\n        return physics, 2 * action\n\n    def terminated",
+        ),
+        ("episode_length", "    substeps = 2", "    episode_length = 100\n    substeps = 2"),
+    ],
+)
+def test_a_part_that_computes_something_else_is_named(part, old, new, family_file):
+    code, (before, same, now) = family_file.read_text(), (family_file.with_name(f"{name}.py") for name in "abc")
+    assert code.count(old) == 1
+    before.write_text(code)
+    same.write_text(code.replace("outcome", "result").replace("def result", "def outcome") + "# as before\n")
+    now.write_text(code.replace(old, new))
+    families = [make_family(f"{file}:BalanceAt", "native") for file in (before, same, now)]
+    first, again, changed = (signature_of(family, family.training_tasks()) for family in families)
+    assert first_change(first, json.loads(json.dumps(again))) is None
+    assert first_change(first, changed) == part
+
+
+def test_a_run_is_not_continued_with_other_code(family_file, run_directory, monkeypatch, capsys):
+    tiny = tiny_config(family=f"{family_file}:BalanceAt", tasks=("-0.3", "at-0.3"), epochs=2)
+    train_run(tiny, run_directory)
+    assert main(["evaluate", str(run_directory), "--family", tiny.family, "--episodes", "1"]) == 0
+    assert "warning" not in capsys.readouterr().err
+    family_file.write_text(family_file.read_text().replace("- 0.01 *", "- 0.02 *"))
+    assert main(["evaluate", str(run_directory), "--family", tiny.family, "--episodes", "1"]) == 0
+    said = capsys.readouterr().err
+    assert "was trained on other code of its family: reward is not what it was, so its policies may do" in said
+    with pytest.raises(UsageError, match="reward is not what it was; use another --out"):
+        train_run(dataclasses.replace(tiny, epochs=4), run_directory)
 
 
 @pytest.mark.slow  # `house/test_extending.py` trains it too
