@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 import tyro
 
 from ear_jax.errors import UsageError, unknown
+from ear_jax.names import METHODS
 
 MAX_SEED = 2**31  # JAX takes seeds as int32
 RETIRED = ("network.kernels",)  # settings in files of earlier versions; they chose between equal computations
@@ -193,8 +194,8 @@ class Config:
     """Task family: a name from `ear families`, or path/to/file.py:ClassName."""
     preset: Annotated[str, tyro.conf.arg(metavar="PRESET")] = "fast"
     """paper, fast, smoke; variants +no-noise +no-norm +task-hidden +wide +gathered +equivariant +categorical +both."""
-    agent: Annotated[str, tyro.conf.arg(metavar="AGENT")] = "ear"
-    """The method: ear, which is the paper's, ear-rnn, multihead, onehot, onehot-blind, pearl or maml."""
+    agent: Annotated[str, tyro.conf.arg(metavar="AGENT", help=f"The method: {', '.join(METHODS)}.")] = "ear"
+    """The method, by its name; ear is the paper's."""
     engine: Annotated[str, tyro.conf.arg(metavar="ENGINE")] = "auto"
     """Physics engine: auto, native (CPU), mjx, mjx-fixed, or warp (NVIDIA GPUs; pip install 'ear-jax[warp]')."""
     seed: int = 0

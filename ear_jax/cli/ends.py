@@ -11,17 +11,17 @@ from ear_jax.errors import UsageError
 from ear_jax.runs.trained import Trained
 
 
-def find_pair(trained: Trained, first: str, second: str) -> Pair:
-    """Returns the ends of an interpolation by the names that a user gives.
+def find_pair(trained: Trained, first: str, second: str, targets: bool = True) -> Pair:
+    """Returns the ends of an interpolation by the names that a user gives; both have `targets` unless told otherwise.
 
     Raises:
       UsageError: a name of neither a training task nor a saved LTE, a task without a target, or the same task twice.
     """
     ends = find_end(trained, first), find_end(trained, second)
     for end in ends:
-        if end.target is None:
+        if targets and end.target is None:
             quantity = trained.program.family.commanded
-            raise UsageError(f"{end.name!r} has no target {quantity} to interpolate; `ear compose` blends such tasks")
+            raise UsageError(f"{end.name!r} has no target {quantity} to meet between; blend such tasks at given --beta")
     if ends[0].name == ends[1].name:
         raise UsageError(f"--between {first} {second} names one task twice")
     return ends

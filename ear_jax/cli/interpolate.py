@@ -69,7 +69,7 @@ def main(words: list[str]) -> None:
     from ear_jax.figures.interpolate import draw_interpolate
 
     if command.between:
-        pairs = [find_pair(trained, *command.between)]
+        pairs = [find_pair(trained, *command.between, targets=not command.beta)]
     else:
         pairs = adjacent_pairs(trained_ends(trained), trained.program.family)
     with phase(f"rolling out {counted(len(command.beta or BETAS), 'blend')} of {counted(len(pairs), 'pair')}"):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ear_jax.embeddings.map import training_ltes
 from ear_jax.embeddings.survey import PLACES, find_survey, record_codes
-from ear_jax.envs.asked import Reward, name_of, reward_functions, score_outcomes
+from ear_jax.envs.asked import Reward, names_of, reward_functions, score_outcomes
 from ear_jax.errors import UsageError
 from ear_jax.learning.episodes import late_steps
 from ear_jax.runs.trained import Trained
@@ -54,7 +54,7 @@ def trade(trained: Trained, rewards: Sequence[Reward | str], seed: int = 0, plac
         }
         for index in range(program.config.seeds)
     ]
-    return {"rewards": [name_of(function) for function in functions], "env_steps": env_steps, "seeds": seeds}
+    return {"rewards": names_of(functions), "env_steps": env_steps, "seeds": seeds}
 
 
 def _late_means(rewards: Sequence[Reward], outcomes: dict[str, np.ndarray], lengths: np.ndarray) -> np.ndarray:

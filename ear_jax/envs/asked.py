@@ -38,10 +38,10 @@ def reward_functions(family: Family, rewards: Sequence[Reward | str]) -> list[Re
             shape = jax.eval_shape(lambda outcome, function=function: jnp.asarray(function(outcome)), shapes).shape
         if shape != ():
             raise UsageError(f"reward {name_of(function)} must be a scalar, not an array of shape {shape}")
-    names = [name_of(function) for function in functions]
-    for name in names:
-        if names.count(name) > 1:
-            raise UsageError(f"reward {plain(name)!r} is given twice")
+    alike = [getattr(function, "text", function) for function in functions]
+    for function, one in zip(functions, alike, strict=True):
+        if alike.count(one) > 1:
+            raise UsageError(f"reward {plain(name_of(function))!r} is given twice")
     return functions
 
 
@@ -54,7 +54,7 @@ def asked(family: Family, rewards: Sequence[Reward]) -> tuple[Family, TaskSet]:
 
     asking = copy.copy(family)
     vars(asking)["reward"] = reward  # hides the method of its class
-    return asking, task_set([Task(name_of(one), None, {"reward": float(row)}) for row, one in enumerate(rewards)])
+    return asking, task_set([Task(name, None, {"reward": float(row)}) for row, name in enumerate(names_of(rewards))])
 
 
 def score_outcomes(reward: Reward, outcomes: dict[str, np.ndarray], counts: np.ndarray | None = None) -> np.ndarray:
@@ -77,6 +77,12 @@ def score_outcomes(reward: Reward, outcomes: dict[str, np.ndarray], counts: np.n
         at = ", ".join(f"{name} {values[tuple(wrong[0])]:.4g}" for name, values in outcomes.items())
         raise UsageError(f"reward {plain(name_of(reward))!r} is not a finite number at {at}, which some LTE reaches")
     return np.where(counts, rewards, 0.0)
+
+
+def names_of(rewards: Sequence[Reward]) -> list[str]:
+    """Returns the names of rewards; functions of the same name, such as lambdas, are numbered."""
+    names = [name_of(reward) for reward in rewards]
+    return [f"{name} {row + 1}" if names.count(name) > 1 else name for row, name in enumerate(names)]
 
 
 def name_of(reward: Reward) -> str:

@@ -53,6 +53,7 @@ def check_family(family: Family) -> None:
     motion = Motion(moved, control, physics, jnp.zeros((len(family.bodies), 3)))
     outcome = call["outcome"](motion)
     _check_outcome(family, outcome)
+    _check_names(family, tasks, outcome)
     for task in tasks.tasks:
         _expect(f"reward() of task {task.name!r}", call["reward"](outcome, task.params), (), "float32")
     _expect("achieved()", _traced(family, "achieved")(outcome, outcome), ())
@@ -141,6 +142,24 @@ def _check_outcome(family: Family, outcome: Any) -> None:
         raise UsageError(f"commanded: {unknown('outcome', family.commanded, outcome)}")
 
 
+def _check_names(family: Family, tasks: TaskSet, outcome: Mapping[str, Any]) -> None:
+    """Checks what the family says of its outcomes and bodies outside training."""
+    for name in family.plane or ():
+        if name not in outcome:
+            raise UsageError(f"plane: {unknown('outcome', name, outcome)}")
+    bodies = [family.model.body(body).name for body in range(family.model.nbody)]
+    for body in family.feet.values():
+        if body not in bodies:
+            raise UsageError(f"feet: {unknown('body', body, bodies)}")
+    asked = {family.asks(task)[0] for task in tasks.tasks} - {family.commanded}
+    for name in asked:
+        if name not in outcome:
+            raise UsageError(f"asks(): {unknown('outcome', name, outcome)}")
+    apart = _guarded(family, "difference")(1.0, 0.5)
+    if np.ndim(apart) or not np.issubdtype(np.asarray(apart).dtype, np.number):
+        raise UsageError(f"difference() must return a number, but returns {apart!r}")
+
+
 def _guarded(family: Family, method: str, wrap: Callable[..., Any] = lambda function: function) -> Callable[..., Any]:
     """Wraps a family's method so that an exception in it becomes a UsageError."""
     return user_code(f"{method}() fails", source_file(type(family)))(wrap(getattr(family, method)))
@@ -194,6 +213,18 @@ def _are_presets(value: Any) -> bool:
     return isinstance(value, Mapping) and all(isinstance(changes, Mapping) for changes in value.values())
 
 
+def _are_feet(value: Any) -> bool:
+    return isinstance(value, Mapping) and all(_is_text(text) for pair in value.items() for text in pair)
+
+
+def _is_period(value: Any) -> bool:
+    return value is None or (_is_number(value) and not isinstance(value, bool) and value > 0)
+
+
+def _is_plane(value: Any) -> bool:
+    return value is None or (_are_texts(value) and len(value) == 2)
+
+
 def _are_limits(value: Any) -> bool:
     return isinstance(value, tuple) and len(value) == 2 and all(map(_is_count, value))
 
@@ -207,6 +238,9 @@ _ATTRIBUTES = {
     "bodies": (_are_texts, "a tuple of names"),
     "episode_length": (_is_count, "a whole number of at least 1"),
     "options": (_are_texts, "a tuple of names"),
+    "feet": (_are_feet, "a dictionary of bodies by the names of feet"),
+    "period": (_is_period, "a number above 0, or None"),
+    "plane": (_is_plane, "two names of outcomes, or None"),
     "presets": (_are_presets, "a dictionary of settings for each preset"),
 }
 _MODEL = {"model_file": (_is_text, "one of Gymnasium's models, unless load() is defined")}

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
+OF_PYTHON = ("strict", "backslashreplace", "surrogateescape")  # its own ways with letters that an encoding lacks
 PLAIN = {"β": "beta", "σ": "sigma", "φ": "phi", "ψ": "psi", "γ": "gamma", "…": "...", "−": "-", "–": "-", "—": "-"}
 PLAIN |= {
     "·": "|",
@@ -53,7 +54,7 @@ def open_streams() -> None:
     if sys.stderr is None:
         sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
-        if getattr(stream, "errors", None) in ("strict", "backslashreplace") and hasattr(stream, "reconfigure"):
+        if getattr(stream, "errors", None) in OF_PYTHON and hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="ear_jax")
 
 

@@ -72,10 +72,13 @@ def limbs(model: mujoco.MjModel, qpos: np.ndarray) -> Limbs:
 
 
 def locomotion_of(model: mujoco.MjModel) -> Locomotion:
-    """Returns the robot's kind of locomotion, from the joints of its root."""
-    if (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE).any():
+    """Returns the robot's kind of locomotion, from the joints at the root of what its actuators move."""
+    moved = model.actuator_trnid[model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT, 0]
+    trees = model.body_rootid[model.jnt_bodyid]
+    own = np.isin(trees, trees[moved]) if len(moved) else np.ones(model.njnt, bool)  # a target's tree is another
+    at_root = own & (model.body_weldid[model.body_parentid[model.jnt_bodyid]] == 0)
+    if (model.jnt_type[at_root] == mujoco.mjtJoint.mjJNT_FREE).any():
         return "roams"
-    at_root = model.body_weldid[model.body_parentid[model.jnt_bodyid]] == 0
     return "runs" if (model.jnt_type[at_root] == mujoco.mjtJoint.mjJNT_SLIDE).any() else "fixed"
 
 

@@ -66,6 +66,7 @@ def read_step(directory: Path, warn: Callable[[str], None]) -> Step:
     step = checkpoint.newest(directory / checkpoint.FOLDER, warn, run=settings.get("run"))
     if step is None:
         records.read_run(directory)
+        _check_nothing_is_lost(directory, settings, fault)
         raise RunError(f"{directory} has no checkpoint yet; the same `ear train` command continues it")
     if fault:
         warn(f"warning: {fault}; `ear train` restores it from the checkpoint of epoch {step.epoch}")
@@ -118,7 +119,7 @@ def _rows(log: Path, step: Step, warn: Callable[[str], None]) -> tuple[str, bool
         until = [number for number, (_, row) in enumerate(lines, start=1) if row and row["epoch"] <= step.epoch]
         return "".join(line for line, _ in lines[: max(until, default=0)]), True  # a damaged line is left as it is
     if text.startswith(step.rows):
-        return step.rows, True
+        return step.rows, text == step.rows  # further rows are of epochs that no step has
     pairs = enumerate(zip_longest(text.split("\n"), step.rows.split("\n")), start=1)
     first = next(number for number, (one, other) in pairs if one != other)
     warn(f"warning: {log} is damaged in line {first}; its rows are those of the checkpoint of epoch {step.epoch}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ear_jax.config import Config
+from ear_jax.config import Config, from_dict
 from ear_jax.errors import RunError
 from ear_jax.limits import check
 from ear_jax.process import hosts
@@ -43,7 +43,7 @@ from ear_jax.runs.training import Program, TrainState
 __all__ = ["Run", "train_run", "train_runs"]
 
 
-def train_run(config: Config, directory: Path) -> None:
+def train_run(config: Config, directory: Path | str) -> None:
     """Trains a run to its end, or continues it.
 
     Args:
@@ -56,7 +56,7 @@ def train_run(config: Config, directory: Path) -> None:
       RunError: the run cannot be trained here, or a metric is not finite.
       Stopped: a signal stopped the run after it saved.
     """
-    train_runs([Run(config, directory)])
+    train_runs([Run(from_dict(asdict(config)), Path(directory))])  # which checks the types
 
 
 def train_runs(runs: Sequence[Run]) -> None:

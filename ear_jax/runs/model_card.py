@@ -9,6 +9,7 @@ from statistics import pstdev
 from typing import Any
 
 from ear_jax.config import env_flags
+from ear_jax.names import FAMILIES
 from ear_jax.runs import onnx
 
 LIBRARY = "ear-jax"
@@ -25,7 +26,7 @@ def to_markdown(card: dict[str, Any], file: str) -> str:
         ["---", *_front_matter(card), "---"],
         [f"# {_text(card['name'])}"],
         _about(card),
-        _use(file),
+        _use(file, card["family"]),
         _results(card),
     )
     return "\n\n".join("\n".join(part) for part in parts) + "\n"
@@ -94,7 +95,7 @@ def _refinement(refined: dict[str, Any]) -> str:
     )
 
 
-def _use(file: str) -> list[str]:
+def _use(file: str, family: str) -> list[str]:
     if file.endswith(onnx.SUFFIX):
         lines = [
             "import json",
@@ -108,7 +109,10 @@ def _use(file: str) -> list[str]:
             '(action,) = session.run(["action"], {"lte": lte, "obs": obs})  # in [-1, 1]',
         ]
         return ["## Use", "", "```python", *lines, "```"]
-    return ["## Use", "", "```", f"ear evaluate {shlex.quote(file)}", f"ear explore {shlex.quote(file)}", "```"]
+    own = family not in FAMILIES
+    words = shlex.quote(file) + f" --family {shlex.quote(family)}" * own
+    needed = ["", "The family's code is not in the file and has to be there."] * own
+    return ["## Use", "", "```", f"ear evaluate {words}", f"ear explore {words}", "```", *needed]
 
 
 def _results(card: dict[str, Any]) -> list[str]:

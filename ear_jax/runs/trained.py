@@ -115,7 +115,7 @@ def check_policy(trained: Trained, policy: int) -> None:
         raise UsageError(f"--policy {policy} is out of range: this run has {policies}")
 
 
-def load(path: Path, family: str | None = None, engine: str | None = None) -> Trained:
+def load(path: Path | str, family: str | None = None, engine: str | None = None) -> Trained:
     """Reads the policies of a run's newest good checkpoint, of an exported file, or of a pretrained agent.
 
     Args:
@@ -128,6 +128,7 @@ def load(path: Path, family: str | None = None, engine: str | None = None) -> Tr
       UsageError: there is no such run or pretrained agent, or its family has to be named.
       RunError: there is no undamaged checkpoint, or the engine cannot run here.
     """
+    path = Path(path)
     if str(path).startswith(pretrained.PREFIX):
         name = str(path).removeprefix(pretrained.PREFIX)
         trained = _from_file(pretrained.find(name), family, engine)

@@ -60,7 +60,7 @@ def test_a_reward_is_answered_saved_and_used(finished, few, capsys):
     saved = json.loads((finished / "ltes.json").read_text())["slow"]
     assert (saved["task"], saved["asked_by"]) == ("-abs(velocity-1)", "--reward")
     assert main(["interpolate", str(finished), "--between", "1", "slow"]) == 2
-    assert "'slow' has no target velocity to interpolate" in capsys.readouterr().err
+    assert "'slow' has no target velocity to meet between" in capsys.readouterr().err
 
 
 def test_a_trade_off_is_drawn(finished, few, capsys):

@@ -100,8 +100,12 @@ def test_a_model_card_shows_a_name_as_it_is():
     text = to_markdown({**texts, **counts, **others, "tasks": [task], "returns_from": "x"}, "a b'.safetensors")
     front, body = text.removeprefix("---").split("\n---\n", 1)
     assert yaml.safe_load(front)["model-index"][0]["name"] == name
-    assert html.unescape(MarkdownIt("commonmark").enable(["table", "strikethrough"]).render(body)).count(name) == 5
-    assert shlex.split(re.search("^ear evaluate (.*)$", body, re.MULTILINE)[1]) == ["a b'.safetensors"]
+    assert html.unescape(MarkdownIt("commonmark").enable(["table", "strikethrough"]).render(body)).count(name) == 7
+    assert shlex.split(re.search("^ear evaluate (.*)$", body, re.MULTILINE)[1]) == [
+        "a b'.safetensors",
+        "--family",
+        name,
+    ]
 
 
 def test_a_name_ends_no_script_of_the_page(tmp_path):

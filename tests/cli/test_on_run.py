@@ -42,7 +42,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("interpolate HOPPER --all-pairs --target 1", "--target goes only with --between A B, and without --beta"),
         ("interpolate HOPPER --between trot trot", "--between trot trot names one task twice"),
         ("interpolate HOPPER --between 1.8 vel-1.8", "--between 1.8 vel-1.8 names one task twice"),
-        ("interpolate JUMPER --between back-1 jump-5", "'jump-5' has no target velocity to interpolate; `ear compose`"),
+        ("interpolate JUMPER --between back-1 jump-5", "'jump-5' has no target velocity to meet between; blend such"),
         ("compose HOPPER --between 2 2", "--between 2 2 names one task twice"),
         ("compose HOPPER --between 2 nowhere", "'nowhere'"),
         ("adapt JUMPER", "no adaptation tasks of its own; name some with --target"),

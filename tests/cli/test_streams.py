@@ -52,6 +52,12 @@ def test_a_closed_or_full_stream_is_one_line(line, code, complaint):
     assert (done.returncode, done.stdout, done.stderr) == (code, b"", complaint)
 
 
+def test_the_locale_c_has_no_traceback():
+    done = shell("ear pretrained", LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
+    assert (done.returncode, b"Traceback" in done.stderr) == (0, False)
+    assert b"halfcheetah-vel" in done.stdout
+
+
 def test_nothing_of_an_error_reaches_a_stdout_that_others_read():
     done = shell("ear pretrained --json 2>&-")
     assert json.loads(done.stdout)["pretrained"]

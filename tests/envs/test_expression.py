@@ -145,6 +145,11 @@ def test_a_family_scores_the_rewards_it_is_asked_for():
         reward_functions(family, [vectors()])
     with pytest.raises(UsageError, match="reward 'action' is given twice"):
         reward_functions(family, ["action", "action"])
+    forward = lambda outcome: outcome["action"]  # noqa: E731
+    two = reward_functions(family, [forward, lambda outcome: -outcome["action"]])
+    assert asked(family, two)[1].names == ["<lambda> 1", "<lambda> 2"]
+    with pytest.raises(UsageError, match="reward '<lambda>' is given twice"):
+        reward_functions(family, [forward, forward])
 
 
 def vectors():

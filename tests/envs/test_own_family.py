@@ -193,6 +193,14 @@ PARTS = "training_tasks = parse_task = initial = observe = outcome = reward = pr
             r"presets must be a dictionary of settings for each",
         ),
         ("mine.py:Mine", "class Mine(Bandit): bodies = 'foot'", r"bodies must be a tuple of names, but is 'foot'"),
+        ("mine.py:Mine", "class Mine(Bandit): feet = None", r"feet must be a dictionary of bodies by .*, but is None"),
+        ("mine.py:Mine", "class Mine(Bandit): plane = ('x',)", r"plane must be two names of outcomes, or None, but is"),
+        (
+            "mine.py:Mine",
+            "class Mine(Bandit): period = '360'",
+            r"period must be a number above 0, or None, but is '360'",
+        ),
+        ("mine.py:Mine", "class Mine(Bandit): period = 0", r"period must be a number above 0, or None, but is 0"),
         ("mine.py:Mine", "class Mine(Bandit): load = Family.load", "does not define model_file; it must be one of Gym"),
         (
             "mine.py:Mine",

@@ -80,6 +80,8 @@ def test_a_refined_policy_ships_with_its_costs_and_those_it_was_chosen_among(rec
     returns = [entry["after"] for document in others for entry in document["seeds"]]
     assert (card["seeds"], card["mean_of_seeds"]) == (len(returns), pytest.approx(np.mean(returns)))
     assert f"{card['seeds']} seeds, mean return {card['mean_of_seeds']:.1f}" in to_markdown(card, "a.safetensors")
+    own = to_markdown({**card, "family": "my.py:Own"}, "a.safetensors")
+    assert "ear evaluate a.safetensors --family my.py:Own\n" in own
 
 
 def of_two_seeds(record: Path) -> None:

@@ -63,6 +63,13 @@ def strip(cheetah: mujoco.MjModel, *speeds: float) -> Strip:
     return arrange(cheetah, [running(cheetah, speed) for speed in speeds], [str(speed) for speed in speeds], 0.05)
 
 
+def test_what_stands_beside_a_robot_does_not_say_how_it_moves():
+    """Gymnasium's reacher: an arm, and a target on slides of its own."""
+    assert scene.locomotion_of(load_model("reacher.xml")) == "fixed"
+    assert scene.locomotion_of(load_model("inverted_pendulum.xml")) == "runs"
+    assert scene.locomotion_of(load_model("ant.xml")) == "roams"
+
+
 def test_a_trajectory_is_the_roll_out_pose_by_pose_past_the_time_limit():
     """A mass of 1 kg pushed with a N stands at a dt² n (n + 1) / 2 after n steps of MuJoCo's semi-implicit Euler."""
     found = follow(program(Slider("native"), CODES), jnp.zeros(1), CODES, 30, jax.random.key(0))

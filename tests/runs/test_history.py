@@ -107,6 +107,23 @@ def test_a_run_without_a_first_step_is_no_trained_run_yet(finished):
         trained.load(finished)
 
 
+def test_whoever_asks_is_told_the_same_of_lost_checkpoints(finished):
+    shutil.rmtree(finished / "checkpoints")
+    for use in (lambda: trained.load(finished), lambda: train_run(MORE, finished)):
+        with pytest.raises(RunError, match="has lost its checkpoints: it has rows of metrics until epoch 24"):
+            use()
+
+
+def test_a_finished_run_tells_of_no_later_epoch_than_its_last_step(finished):
+    """Rows of blocks that were not saved before a kill, and a smaller number of epochs afterwards."""
+    log = finished / "metrics.jsonl"
+    before = log.read_text()
+    row = records.read_rows(log)[-1]
+    records.append_rows(log, [{**row, "epoch": 30}])
+    train_run(finished_config(), finished)
+    assert log.read_text() == before
+
+
 def flip(path: Path, number: int) -> None:
     """Changes a digit in a line."""
     lines = path.read_text().splitlines(keepends=True)

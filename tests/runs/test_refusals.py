@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from ear_jax.cli.main import main
-from ear_jax.errors import RunError
+from ear_jax.errors import RunError, UsageError
 from ear_jax.runs import checkpoint, on_host
 from ear_jax.runs.documents import differences
 from ear_jax.runs.loop import train_run
+from ear_jax.runs.trained import load
 from ear_jax.runs.training import make_program
 from ear_jax.tasks import Task, task_set
 from tests.helpers.runs import finished_config, last_state, words
@@ -32,6 +33,16 @@ def test_two_writers(refusal, finished):
 def test_changed_settings(refusal):
     changed = dataclasses.replace(MORE, sac=dataclasses.replace(MORE.sac, lr=0.5), seed=7)
     assert "other settings: seed was 0, is 7; sac.lr was 0.001, is 0.5; use another --out" in refusal(changed)
+
+
+def test_types_and_paths_as_a_program_gives_them(finished, capsys):
+    with pytest.raises(UsageError, match="the setting epochs is '3'; it must be of type int"):
+        train_run(dataclasses.replace(MORE, epochs="3"), finished)
+    with pytest.raises(UsageError, match=r"the setting tasks is \(1\.0, 3\.0\); it must be of type tuple"):
+        train_run(dataclasses.replace(MORE, tasks=(1.0, 3.0)), finished)
+    train_run(finished_config(), str(finished))
+    assert "is finished" in capsys.readouterr().err
+    assert load(str(finished)).epoch == 24
 
 
 def test_another_task_set_under_the_same_name(refusal, monkeypatch):
