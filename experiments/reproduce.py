@@ -165,22 +165,20 @@ def keep(run: Path, name: str | None = None, replace: bool = False) -> Path:
 def run_ear(words: list[str]) -> str:
     """Runs an `ear` command with its messages on our stderr, and returns its stdout.
 
-    The command has a process group of its own, so that it gets each signal once, from here. If this process is killed,
-    it stops as by SIGTERM.
+    If this process is killed, the command stops as by SIGTERM.
 
     Raises:
       Stopped: this process was asked to stop; the command was stopped too.
       RunError: the command failed.
     """
     line = [sys.executable, "-m", "ear_jax.cli.main", *words]
-    child = subprocess.Popen(
-        line, stdout=subprocess.PIPE, text=True, env=child_environment(), close_fds=False, process_group=0
-    )
+    child = subprocess.Popen(line, stdout=subprocess.PIPE, text=True, env=child_environment(), close_fds=False)
     signals: list[int] = []
 
     def pass_on(number: int, frame: FrameType | None) -> None:
         signals.append(number)
-        child.send_signal(number)
+        if number != signal.SIGINT:  # Ctrl-C reaches the child directly
+            child.send_signal(number)
 
     before = {number: signal.signal(number, pass_on) for number in stop_signals()}
     try:

@@ -32,7 +32,7 @@ class CompareCommand:
     """Two run directories; or, with --against, all runs of the first group."""
     against: Annotated[tuple[Path, ...], option("[RUN ...]", "the second run")] = ()
     """The runs of the second group."""
-    out: Annotated[Path | None, option("FILE", "plots/ONE_against_OTHER.png")] = None
+    out: Annotated[Path | None, option("FILE", "plots/ONE_against_OTHER_HASH.png")] = None
     """The figure's file; its ending is the format: .png, .svg or .pdf."""
     json: bool = False
     """Print one JSON document and nothing else."""

@@ -33,7 +33,7 @@ class PlotCommand:
     """A metric of `metrics.jsonl`, such as entropy, or a task, such as vel-2; an unknown name lists all."""
     by: Literal["updates", "steps", "minutes"] = "updates"
     """The horizontal axis: updates, env steps or minutes of wall time."""
-    out: Annotated[Path | None, option("FILE", "plots/NAMES_METRIC_by_AXIS, as .png and .svg")] = None
+    out: Annotated[Path | None, option("FILE", "plots/NAMES_METRIC_by_AXIS_HASH, as .png and .svg")] = None
     """The file; its ending is the format: .png, .svg or .pdf."""
     json: bool = False
     """Print one JSON document and nothing else."""

@@ -15,7 +15,7 @@ from ear_jax.cli import train
 from ear_jax.cli.arguments import check_least, option
 from ear_jax.cli.results import keep, print_table, show_and_keep
 from ear_jax.config import Config, flag, flat, run_name
-from ear_jax.errors import RunError, UsageError, counted, hint, unknown
+from ear_jax.errors import UsageError, counted, hint, unknown
 from ear_jax.limits import check
 from ear_jax.presets import check_effect
 from ear_jax.process import hosts
@@ -23,7 +23,7 @@ from ear_jax.process.hosts import Hosts
 from ear_jax.process.terminal import say
 from ear_jax.runs import sweep
 from ear_jax.runs.failure import NAME as REPORT
-from ear_jax.runs.failure import reported
+from ear_jax.runs.failure import Diverged, reported
 from ear_jax.runs.groups import group
 from ear_jax.runs.groups import read as read_records
 
@@ -107,29 +107,29 @@ def train_together(trials: Sequence[Trial], directory: Path) -> None:
     """Trains trials side by side. One whose numbers were not finite stays failed, and other programs go on."""
     from ear_jax.runs.loop import Run, train_runs
 
-    def failed() -> list[Trial]:
-        return [trial for trial in trials if reported(directory / trial.name)]
-
-    before = failed()
-    for trial in before:
-        say(f"{trial.name} failed before; delete {directory / trial.name / REPORT} to train it again")
-    if len(before) == len(trials):
+    failed = hosts.agree(lambda: [trial.name for trial in trials if reported(directory / trial.name)])
+    for name in failed:
+        say(f"{name} failed before, see {directory / name / REPORT}")
+    if len(failed) == len(trials):
         return
     try:
         train_runs([Run(trial.config, directory / trial.name) for trial in trials])
-    except RunError as error:
-        if len(failed()) < len(trials):
-            raise
+    except Diverged as error:
         say(f"warning: {error}; the sweep goes on")
 
 
 def train_on_ray(trials: Sequence[Trial], directory: Path, cores: int) -> None:
-    """Trains every trial as a task of a Ray cluster; raises RunError if some fail for want of something."""
+    """Trains every trial as a task of a Ray cluster; raises RunError if some fail for want of something.
+
+    One whose numbers were not finite stays failed.
+    """
     from ear_jax.runs import on_ray
 
     jobs = []
     for trial in trials:
         run = directory / trial.name
+        if reported(run):
+            continue
         words = ("ear_jax.cli.main", "train", *words_of(trial.config), "--out", str(run))
         jobs.append(on_ray.Job(trial.name, words, run, trial.config.epochs))
     failed = on_ray.run_jobs(jobs, directory / "logs", cores)

@@ -36,7 +36,8 @@ def read_kept(path: Path, shapes: dict[str, Shape], trained: Trained, kind: str)
         raise RunError(f"{path} is damaged: it differs from its checksum")
     if (metadata.get("policy"), metadata.get("engine")) != (trained.fingerprint, trained.program.family.engine.name):
         raise RunError(f"{path} is of another policy or engine")
-    if first_change(json.loads(metadata.get("signature", "{}")), trained.program.signature or {}):
+    before, now = json.loads(metadata.get("signature", "null")), trained.program.signature
+    if (before is None) != (now is None) or (before and now and first_change(before, now)):
         raise RunError(f"{path} is of other code of the family")
     if arrays.keys() != shapes.keys() or not all(_fits(arrays[name].shape, shapes[name]) for name in shapes):
         raise RunError(f"{path} is of another family")

@@ -6,7 +6,7 @@ No engine takes part, so they are the same on all; rounding, which differs betwe
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -14,20 +14,28 @@ import numpy as np
 
 from ear_jax.envs.family import Family
 from ear_jax.physics import Motion, Physics
+from ear_jax.physics.models import moving_numbers
 from ear_jax.tasks import TaskSet
 
 Signature = dict[str, list[float]]
-OF_MODEL = (
-    *("qpos0", "body_mass", "body_inertia", "geom_size", "geom_friction", "dof_damping", "dof_armature"),
-    *("jnt_range", "jnt_stiffness", "actuator_gear", "actuator_ctrlrange"),
-)
 STATES = 64  # made-up ones
+ORDER = (
+    "observe",
+    "actuate",
+    "terminated",
+    "outcome",
+    "achieved",
+    "reward",
+)  # a change is named by the first it shows in
 TOLERANCE = 1e-3  # relative
 
 
 def signature_of(family: Family, tasks: TaskSet) -> Signature:
-    """Returns what each part of a family computes, by its name: sums over states, without what is not finite."""
-    rng, model = np.random.default_rng(0), family.model
+    """Returns what each part of a family computes, by its name: sums over states, without what is not finite.
+
+    The model's numbers are summed too, with weights, so that their order counts.
+    """
+    rng = np.random.default_rng(0)
     start = jax.jit(family.initial)(jax.random.key(0))
     before, after = _moved(start, rng), _moved(start, rng)
     action = rng.uniform(-1, 1, (STATES, family.action_size)).astype(np.float32)
@@ -35,27 +43,44 @@ def signature_of(family: Family, tasks: TaskSet) -> Signature:
 
     def of_state(before: Physics, after: Physics, action: jax.Array, positions: jax.Array) -> dict[str, Any]:
         _, control = family.actuate(before, action)
-        outcome = family.outcome(Motion(before, control, after, positions))
+        outcome, other = (
+            family.outcome(Motion(one, control, two, positions)) for one, two in ((before, after), (after, before))
+        )
         return {
             "observe": family.observe(before),
             "actuate": control,
             "terminated": family.terminated(before),
             "outcome": outcome,
+            "achieved": family.achieved(outcome, other),
             "reward": jax.vmap(family.reward, in_axes=(None, 0))(outcome, tasks.params),
         }
 
+    computed = jax.jit(jax.vmap(of_state))(before, after, action, positions)
+    symmetry = family.symmetry
+    signed = (symmetry.obs, symmetry.action) if symmetry else ()
     parts = {
-        "load": [np.sum(getattr(model, name)) for name in OF_MODEL] + [model.opt.timestep, family.substeps],
+        **{f"model.{name}": _weighted(numbers) for name, numbers in moving_numbers(family.model).items()},
+        "substeps": family.substeps,
         "episode_length": family.episode_length,
+        "bodies": [family.model.body(body).id for body in family.bodies],
+        "symmetry": [_weighted((one.order + 1) * one.sign) for one in signed],
         "initial": start,
-        **jax.tree.map(_sum, jax.jit(jax.vmap(of_state))(before, after, action, positions)),
+        **{name: jax.tree.map(_sum, computed[name]) for name in ORDER},
     }
     return {name: _flat(part) for name, part in parts.items()}
 
 
 def first_change(before: Signature, now: Signature) -> str | None:
-    """Returns the name of the first part that computes other numbers now; None if all compute the same."""
-    return next((name for name in now if not _alike(before.get(name, []), now[name])), None)
+    """Returns the name of the first part that computes other numbers now; None if all that both have are the same."""
+    return next((name for name in now if name in before and not _alike(before[name], now[name])), None)
+
+
+def is_signature(value: Any) -> TypeGuard[Signature]:
+    """Returns whether a value, as of a file, has the form of a signature."""
+    return isinstance(value, dict) and all(
+        isinstance(numbers, list) and all(isinstance(number, (int, float)) for number in numbers)
+        for numbers in value.values()
+    )
 
 
 def _moved(state: Physics, rng: np.random.Generator) -> Physics:
@@ -64,6 +89,11 @@ def _moved(state: Physics, rng: np.random.Generator) -> Physics:
     many = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (STATES, *leaf.shape)), state)
     qpos = state.qpos + size * rng.normal(size=many.qpos.shape)
     return replace(many, qpos=jnp.float32(qpos), qvel=jnp.float32(3 * size * rng.normal(size=many.qvel.shape)))
+
+
+def _weighted(numbers: np.ndarray) -> float:
+    flat = np.nan_to_num(np.asarray(numbers, float).ravel(), posinf=0.0, neginf=0.0)
+    return float(flat @ (1 + np.arange(flat.size) % 97 / 97))
 
 
 def _sum(values: jax.Array) -> np.ndarray:

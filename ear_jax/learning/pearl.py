@@ -64,7 +64,7 @@ class PearlLearner(SacLearner):
         return mixed.sample(jax.random.normal(key_code, shape))
 
     def draw(self, key: jax.Array, updates: int) -> PearlDraws:
-        keys_tasks = jax.random.split(jax.random.fold_in(key, 1), updates)
+        keys_tasks = jax.random.split(jax.random.fold_in(key, 7), updates)  # `Batches.draw` splits into 7
         tasks = jax.vmap(partial(draw_tasks, self.config, self.task_count))(keys_tasks)
         draws = self.batches.draw(key, updates, tasks)
         key_context, key_posterior = jax.random.split(jax.random.split(key, 7)[5])

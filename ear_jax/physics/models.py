@@ -6,6 +6,7 @@ import importlib.util
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from ear_jax.errors import RunError, UsageError, unknown
 
@@ -36,6 +37,25 @@ def gymnasium_model_path(filename: str) -> Path:
 def load_model(filename: str) -> mujoco.MjModel:
     """Compiles one of Gymnasium's models, e.g. `half_cheetah.xml`."""
     return compile_model(mujoco.MjSpec.from_file(str(gymnasium_model_path(filename))))
+
+
+SIZES = ("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nmocap", "neq", "ntendon", "nexclude", "npair")
+MOVING = (
+    *("body_", "jnt_", "dof_", "geom_", "eq_", "tendon_", "wrap_", "exclude_", "pair_"),
+    *("actuator_", "qpos"),
+)
+SEEN = ("_rgba", "_matid", "_group", "_user")  # endings of what only pictures and users read
+
+
+def moving_numbers(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    """Returns the numbers of a model that say how it moves, by name: its sizes, options and arrays."""
+    names = [name for name in dir(model) if name.startswith(MOVING) and not name.endswith(SEEN)]
+    numbers = {name: getattr(model, name) for name in (*SIZES, *names)}
+    numbers |= {f"opt.{name}": getattr(model.opt, name) for name in dir(model.opt) if not name.startswith("_")}
+    arrays = {name: np.asarray(value) for name, value in numbers.items()}
+    return {
+        name: value for name, value in arrays.items() if value.dtype == bool or np.issubdtype(value.dtype, np.number)
+    }
 
 
 def compile_model(spec: mujoco.MjSpec) -> mujoco.MjModel:

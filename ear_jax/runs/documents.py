@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ear_jax.config import Config
-from ear_jax.envs.signature import first_change
+from ear_jax.envs.signature import first_change, is_signature
 from ear_jax.learning.episodes import Episodes
 from ear_jax.learning.sac_state import CRITICS
 from ear_jax.process import hosts
@@ -61,7 +61,7 @@ def differences(document: dict[str, Any], program: Program) -> list[str]:
 def changed_code(holder: Path, document: dict[str, Any], program: Program) -> str | None:
     """Tells in words that a user's family is not the one that a run or file was trained on; None if it seems to be."""
     before = document.get("signature")
-    part = first_change(before, program.signature) if before and program.signature else None
+    part = first_change(before, program.signature) if is_signature(before) and program.signature else None
     return f"{holder} was trained on other code of its family: {part} is not what it was" if part else None
 
 

@@ -14,6 +14,10 @@ from ear_jax.runs import records
 NAME = "failure.json"
 
 
+class Diverged(RunError):
+    """Numbers of a run, or of all that trained side by side, are not finite."""
+
+
 def reported(directory: Path) -> str | None:
     """Returns the metric that a run's report names, or None if the run has left no report; raises RunError."""
     path = directory / NAME
@@ -21,7 +25,7 @@ def reported(directory: Path) -> str | None:
         return None
     metrics = records.read_json(path).get("not_finite")
     if not (isinstance(metrics, list) and metrics and isinstance(metrics[0], str)):
-        raise RunError(f"{path} names no metric; delete it to train the run again")
+        raise RunError(f"{path} names no metric; it is damaged")
     return metrics[0]
 
 

@@ -29,7 +29,7 @@ from ear_jax.runs.compiled import Compiled, fill_replay, train_epochs
 from ear_jax.runs.directory import check_place
 from ear_jax.runs.documents import differences, header, rows_of
 from ear_jax.runs.estimate import check_memory
-from ear_jax.runs.failure import find_failure, forget
+from ear_jax.runs.failure import Diverged, find_failure, forget
 from ear_jax.runs.fastest import with_engine
 from ear_jax.runs.history import LOG, note_first_step, read_history, write_history
 from ear_jax.runs.lock import lock_directory
@@ -194,7 +194,9 @@ def _train_blocks(
             rows = rows_of(program, own_members(state.collected), epoch, clock(), metrics, episodes)
             of_hosts = hosts.gather([rows, finite.tolist(), request.signal])
             close = partial(_close_block, runs, config, of_hosts, epoch - count, clock, request)
-            last, signal, going, mean_return = hosts.agree(close)
+            last, signal, going, mean_return, fault = hosts.agree(close)
+            if fault:
+                raise Diverged(fault)
             if last or blocks % config.checkpoint.blocks == 0:
                 for index in going:
                     _save(runs[index], of_run(state, index, len(runs)), epoch, last)
@@ -221,7 +223,7 @@ def _close_block(
     before: int,
     clock: Callable[[], float],
     request: StopRequest,
-) -> tuple[bool, int | None, list[int], float]:
+) -> tuple[bool, int | None, list[int], float, str | None]:
     """Records a block's rows, by process 0.
 
     Args:
@@ -233,8 +235,8 @@ def _close_block(
       request: the signal of this process.
 
     Returns:
-      Whether it is the last block, the signal that makes it so, the indices of the runs that go on, and their mean
-      return.
+      Whether it is the last block, the signal that makes it so, the indices of the runs that go on, their mean return,
+      and a line if none goes on.
     """
     rows = [row for of_host in of_hosts for row in of_host[0]]
     finite = np.array([counts for of_host in of_hosts for counts in of_host[1]])
@@ -243,27 +245,29 @@ def _close_block(
             continue
         own = slice(index * run.config.seeds, (index + 1) * run.config.seeds)
         named = [{"seed": run.config.seed + number, **row} for number, row in enumerate(rows[own])]
-        _record(run, named, finite[own], before * config.sac.updates, alone=len(runs) == 1)
+        failure = _record(run, named, finite[own], before * config.sac.updates)
+        if failure and len(runs) == 1:
+            fault = f"{failure}; checkpoints are unchanged, and the same command would fail again"
+            return True, None, [], 0.0, fault
+        if failure:
+            say(f"warning: {failure}; the other runs go on")
     going = [index for index, out in enumerate(given_up(runs)) if not out]
     if not going:
-        raise RunError("all runs failed")
+        return True, None, [], 0.0, "all runs failed"
     returns = np.array([row["mean_return"] for row in rows]).reshape(len(runs), -1)
     signals = [request.signal, *(of_host[2] for of_host in of_hosts)]
     signal = next((number for number in signals if number is not None), None)
     last = _finished(config, rows[0]["epoch"], clock()) or signal is not None
-    return last, signal, going, float(returns[going].mean())
+    return last, signal, going, float(returns[going].mean()), None
 
 
-def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: int, alone: bool) -> None:
-    """Writes a block's rows; a run whose metrics are not finite ends, unless others train beside it."""
+def _record(run: Run, rows: list[dict[str, Any]], finite: np.ndarray, before: int) -> str | None:
+    """Writes a block's rows; returns a line instead if some of its metrics are not finite."""
     failure = find_failure(run.directory, rows, finite, before)
-    if failure and alone:
-        raise RunError(f"{failure}; checkpoints are unchanged, and the same command would fail again")
-    if failure:
-        say(f"warning: {failure}; the other runs go on")
-    else:
+    if not failure:
         run.rows.append(records.append_rows(run.directory / LOG, rows))
         run.track(rows)
+    return failure
 
 
 def _save(run: Run, state: TrainState, epoch: int, last: bool) -> None:

@@ -14,12 +14,12 @@ from typing import Any
 from ear_jax.config import Config
 from ear_jax.errors import RunError, UsageError
 from ear_jax.process import hosts
-from ear_jax.runs import checkpoint
+from ear_jax.runs import checkpoint, records
 from ear_jax.runs.checkpoint import Step
 from ear_jax.runs.directory import check_settings, check_tasks
 from ear_jax.runs.documents import about, changed_code
 from ear_jax.runs.failure import NAME, reported
-from ear_jax.runs.history import FIRST, History, read_history, write_history
+from ear_jax.runs.history import FIRST, LOG, History, read_history, write_history
 from ear_jax.runs.training import Program
 
 Warn = Callable[[str], None]
@@ -59,7 +59,7 @@ def reached(runs: Sequence[Run], program: Program, warn: Warn) -> Progress:
     failed = given_up(runs)
     going = [run for run, out in zip(runs, failed, strict=True) if not out]
     if not going:
-        raise RunError(f"all {len(runs)} runs failed; delete {NAME} in {runs[0].directory} to train that one again")
+        raise RunError(f"all {len(runs)} runs failed, see {runs[0].directory / NAME}")
     steps, until, histories = [], None, []
     while True:
         histories = [
@@ -122,9 +122,10 @@ def prepare(run: Run, program: Program, history: History, started: bool) -> Run:
 
 
 def _check_first_save(runs: Sequence[Run]) -> None:
-    """Raises RunError if runs have trained past the first save, and one of them has lost its checkpoints."""
-    saved = [(len(checkpoint.steps(run.directory / "checkpoints")), run.directory) for run in runs]
-    if max(saved)[0] > 1:
+    """Raises RunError if one of the runs has lost its checkpoints, and was not killed as all were first saved."""
+    saved = [(len(checkpoint.steps(run.directory / checkpoint.FOLDER)), run.directory) for run in runs]
+    last = [records.read_rows(run.directory / LOG, ignore)[-1:] for run in runs]
+    if max(saved)[0] > 1 or len({row[0]["epoch"] if row else 0 for row in last}) > 1:
         raise RunError(f"{min(saved)[1]} has no checkpoints, unlike {max(saved)[1]} that trained beside it")
 
 

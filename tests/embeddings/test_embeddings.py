@@ -165,6 +165,23 @@ def test_a_map_and_an_lte_are_told_of(toy):
     check_keys("evaluation of an LTE", evaluate_code(toy, np.eye(3)[:1], 1, 0))
 
 
+def test_what_is_asked_again_is_not_compiled_again(toy, monkeypatch):
+    traced, reward = [], type(toy.program.family).reward
+
+    def count(family, outcome, task):
+        traced.append(family)
+        return reward(family, outcome, task)
+
+    monkeypatch.setattr(type(toy.program.family), "reward", count)
+    for ask in (lambda seed: evaluate(toy, 2, seed), lambda seed: evaluate_code(toy, np.eye(3)[:1], 2, seed)):
+        ask(0)
+        before = len(traced)
+        assert before > 0
+        ask(1)
+        assert len(traced) == before
+        traced.clear()
+
+
 def test_betas_are_the_papers():
     assert (BETAS[0], BETAS[49], BETAS[-1], len(BETAS)) == (0.01, 0.5, 0.99, 99)
 

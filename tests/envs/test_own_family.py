@@ -57,7 +57,18 @@ def test_the_documents_family_is_what_it_says(family_file):
         ("observe", "physics.qpos, physics.qvel", "physics.qvel, physics.qpos"),
         ("terminated", "> 0.2", "> 0.25"),
         ("initial", "key, 0.05,", "key, 0.04,"),
-        ("load", "substeps = 2", "substeps = 3"),
+        ("substeps", "substeps = 2", "substeps = 3"),
+        (
+            "achieved",
+            "    def reward",
+            "    def achieved(self, late, whole):\n        return whole['position']\n\n    def reward",
+        ),
+        (
+            "model.opt.gravity",
+            "    def reward",
+            "    def load(self):\n        model = super().load()\n        model.opt.gravity[2] = -1.62\n"
+            "        return model\n\n    def reward",
+        ),
         (
             "actuate",
             "    def terminated",

@@ -230,6 +230,17 @@ def test_models_are_handed_to_the_page_as_they_are():
     assert (model.nq, model.nu, model.body_mass[1]) == (1, 1, 1)
 
 
+def test_what_is_only_seen_may_differ():
+    class Shown(Own):
+        def source(self):
+            seen = "<custom><numeric name='n' data='1'/></custom><asset><texture name='t' type='2d' builtin='flat'"
+            seen += " width='8' height='8'/><material name='m' texture='t' rgba='1 0 0 1'/></asset>"
+            seen += "<worldbody><light/><camera/>"
+            return self.text.replace("<worldbody>", seen).replace("<geom ", "<geom material='m' group='1' user='3' ")
+
+    assert "material" in portable(Shown("native"))["xml"]
+
+
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_model_that_moves_otherwise_is_refused(change):
     family = Own("native")

@@ -92,7 +92,7 @@ def test_a_trial_that_fails_leaves_the_others(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(loop, "rows_of", failing(0, 3))
     with pytest.raises(RunError, match="all runs failed"):
         train_runs(pair(tmp_path / "again"))
-    with pytest.raises(RunError, match="all 2 runs failed; delete failure"):
+    with pytest.raises(RunError, match="all 2 runs failed, see"):
         train_runs(pair(tmp_path / "again"))
 
 
@@ -106,6 +106,16 @@ def test_a_trial_that_failed_keeps_its_last_good_policy_and_the_others_continue(
     assert [max(checkpoint.steps(run.directory / checkpoint.FOLDER)) for run in (slow, fast)] == [6, 2]
     assert [row["epoch"] for row in records.read_rows(fast.directory / "metrics.jsonl")] == [2, 2]
     assert np.isfinite(evaluate(load(fast.directory), 1, 0)["mean_return"])
+
+
+def test_a_trial_that_is_done_is_not_erased_for_one_whose_report_is_deleted(tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "rows_of", failing(3))
+    train_runs(pair(tmp_path))
+    (tmp_path / "fast" / "failure.json").unlink()
+    before = (tmp_path / "slow" / "metrics.jsonl").read_text()
+    with pytest.raises(RunError, match=r"fast has no checkpoints, unlike .*slow that trained beside it"):
+        train_runs(pair(tmp_path, epochs=6))
+    assert (tmp_path / "slow" / "metrics.jsonl").read_text() == before
 
 
 def test_a_policy_that_is_not_finite_is_refused(tmp_path):
@@ -124,7 +134,7 @@ def test_a_program_that_fails_leaves_the_other_programs(tmp_path, capsys, monkey
 
     monkeypatch.setattr(loop, "rows_of", rows)
     line = sweep_words(tmp_path / "sweep", "network.width", "9", "8")
-    for said in ("the sweep goes on", "to train it again"):
+    for said in ("the sweep goes on", "network.width=9 failed before, see"):
         assert main(line) == 0
         out, err = capsys.readouterr()
         assert said in err

@@ -14,15 +14,9 @@ import numpy as np
 
 from ear_jax.envs import Family
 from ear_jax.errors import RunError, UsageError
-from ear_jax.physics.models import compile_model
+from ear_jax.physics.models import compile_model, moving_numbers
 
 TOLERANCE = 1e-4  # relative; MJCF has six digits
-# Parts of a model that move it, and of these what is only seen, or set after compiling.
-MOVING = (
-    *("nq", "nv", "nu", "na", "nbody", "njnt", "ngeom", "nmocap", "neq", "ntendon", "nexclude", "npair"),
-    *("body_", "jnt_", "dof_", "geom_", "eq_", "tendon_", "wrap_", "exclude_", "pair_", "actuator_", "qpos"),
-)
-UNMOVING = ("geom_margin", "geom_rgba", "geom_matid", "geom_group", "tendon_rgba", "tendon_matid", "tendon_group")
 DEFAULT = ' input="pos"'  # of actuators: this MuJoCo writes it, and the browser's refuses it
 
 
@@ -58,14 +52,8 @@ def _sources(family: Family) -> Iterator[str]:
 
 def _same(one: mujoco.MjModel, other: mujoco.MjModel) -> bool:
     """Returns True if two models agree in all that moves them, except margins."""
-    parts = [(one.opt, other.opt, name) for name in dir(one.opt) if not name.startswith("_")]
-    parts += [(one, other, name) for name in dir(one) if name.startswith(MOVING) and name not in UNMOVING]
-    return all(_equal(getattr(left, name), getattr(right, name)) for left, right, name in parts)
-
-
-def _equal(one: Any, other: Any) -> bool:
-    """Returns whether two values are equal up to the digits of MJCF, if they are numbers."""
-    left, right = np.asarray(one), np.asarray(other)
-    if not np.issubdtype(left.dtype, np.number) and left.dtype != bool:
-        return True
-    return left.shape == right.shape and np.allclose(left, right, rtol=TOLERANCE, atol=1e-6)
+    numbers, others = moving_numbers(one), moving_numbers(other)
+    pairs = [(numbers[name], others[name]) for name in numbers if name != "geom_margin"]
+    return all(
+        left.shape == right.shape and np.allclose(left, right, rtol=TOLERANCE, atol=1e-6) for left, right in pairs
+    )
