@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ import pytest
 
 from ear_jax.agents.networks import unit_vector
 from ear_jax.cli.adapt import _check_save as check_save
+from ear_jax.cli.interpolate import _at_betas as at_betas
 from ear_jax.config import Config
 from ear_jax.embeddings import adapt as adaptation
 from ear_jax.embeddings import cem, ltes
@@ -163,6 +165,8 @@ def test_failures_are_episodes_that_end_before_their_time(toy):
 def test_a_map_and_an_lte_are_told_of(toy):
     check_keys("map", describe(toy, play_maps(toy, 20, 1, 0)))
     check_keys("evaluation of an LTE", evaluate_code(toy, np.eye(3)[:1], 1, 0))
+    asked = SimpleNamespace(beta=(0.5,), episodes=1, seed=0, along="chord")
+    check_keys("blends", at_betas(toy, [tuple(trained_ends(toy))], asked))
 
 
 def test_what_is_asked_again_is_not_compiled_again(toy, monkeypatch):
