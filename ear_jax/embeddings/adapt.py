@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ear_jax.agents.networks import Params
-from ear_jax.embeddings.map import PLACES, LteMap, check_reach, code_for_target, play_maps, reaches
+from ear_jax.embeddings.map import PLACES, LteMap, check_reach, codes_for_targets, play_maps, reaches
 from ear_jax.embeddings.search import Progress, Search, env_steps_an_epoch, find_codes, reevaluate
 from ear_jax.envs import Family
 from ear_jax.process.runtime import compiler_options
@@ -142,7 +142,7 @@ def zero_shot(
       seed: seeds their starts.
     """
     program, family = trained.program, trained.program.family
-    chosen = [[code_for_target(lte_map, family, target) for _, target in targets] for lte_map in maps]
+    chosen = [codes_for_targets(lte_map, family, [target for _, target in targets]) for lte_map in maps]
     codes = jnp.array([[code for code, _ in row] for row in chosen])
     params = TaskSet(tuple(task for task, _ in targets)).params
     keys = evaluation_keys(jax.random.split(jax.random.key(seed), len(maps)), 0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,18 +114,18 @@ def training_ltes(tasks: TaskSet, codes: np.ndarray) -> list[dict[str, Any]]:
     ]
 
 
-def code_for_target(lte_map: LteMap, family: Family, target: float) -> tuple[np.ndarray, float]:
-    """Chooses the code [code] expected to come nearest to a target; also returns its predicted achievement.
+def codes_for_targets(lte_map: LteMap, family: Family, targets: Sequence[float]) -> list[tuple[np.ndarray, float]]:
+    """Chooses for each target the code [code] expected to come nearest to it; also returns its predicted achievement.
 
     The achievement of a code is estimated from the surveyed codes around it, weighted by a Gaussian of their angle to
     it. The code with the least expected squared error is chosen. That error includes the spread among its neighbours,
     so that a code in a uniform region is preferred.
     """
-    miss = family.difference(lte_map.achieved, target)  # [places]
+    misses = np.stack([family.difference(lte_map.achieved, target) for target in targets], axis=1)  # [places, targets]
     candidates = spread_codes(FINE, lte_map.codes.shape[1])
-    expected = estimate(lte_map, family, candidates, np.stack([miss**2, miss], 1))
-    best = int(np.argmin(expected[:, 0]))
-    return candidates[best], float(target + expected[best, 1])
+    expected = estimate(lte_map, family, candidates, np.concatenate([misses**2, misses], axis=1))
+    squared, signed = np.split(expected, 2, axis=1)  # each [candidates, targets]
+    return [(candidates[row], float(targets[i] + signed[row, i])) for i, row in enumerate(squared.argmin(axis=0))]
 
 
 def estimate(lte_map: LteMap, family: Family, codes: np.ndarray, values: np.ndarray) -> np.ndarray:

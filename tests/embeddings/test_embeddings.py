@@ -23,7 +23,7 @@ from ear_jax.embeddings.codes import blend, fibonacci_sphere, slerp, spread_code
 from ear_jax.embeddings.evaluate import evaluate, evaluate_code
 from ear_jax.embeddings.interpolate import BETAS, End, adjacent_pairs, interpolate, play_blends, trained_ends
 from ear_jax.embeddings.interpolate import _check_reach as check_reach
-from ear_jax.embeddings.map import LteMap, check_sphere, code_for_target, describe, play_maps
+from ear_jax.embeddings.map import LteMap, check_sphere, codes_for_targets, describe, play_maps
 from ear_jax.embeddings.search import Search
 from ear_jax.envs.ant_dir import AntDir
 from ear_jax.errors import UsageError
@@ -287,7 +287,9 @@ def test_a_map_of_directions_wraps():
     """Codes whose direction is their longitude: 350° and 10° are neighbours of 0°."""
     codes = fibonacci_sphere(2000)
     longitude = np.degrees(np.arctan2(codes[:, 1], codes[:, 0])) % 360
-    code, predicted = code_for_target(LteMap(codes, longitude, {}, np.full(2000, 200)), AntDir("native"), 0.0)
+    lte_map = LteMap(codes, longitude, {}, np.full(2000, 200))
+    (code, predicted), (other, _) = codes_for_targets(lte_map, AntDir("native"), [0.0, 90.0])
+    assert abs(np.degrees(np.arctan2(other[1], other[0])) - 90) < 3
     assert abs(np.degrees(np.arctan2(code[1], code[0]))) < 3
     assert abs(predicted) < 3
     assert abs(code[2]) < 0.9, "near the poles all directions meet, and none is kept"
