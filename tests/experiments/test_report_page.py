@@ -109,7 +109,7 @@ def test_readmes_first_number_is_that_of_the_records(place):
     said = readme.headline(RunIndex("fast"))
     assert (
         "for 15 of 18 pairs of neighbouring trained speeds, a blend runs at the speed midway**, to within 0.05 m/s in "
-        "the mean of 10 fresh episodes; over all pairs the mean error is 0.02 m/s. Counted on the 3 episodes by which "
+        "the mean of 10 fresh episodes; over all pairs the mean error is 0.02 m/s. On the 3 episodes by which "
         "the blend was chosen: 17 of 18 (the paper: 26 of 27)" in said
     )
     assert "returns −185.5 ± 14.1 (2 seeds), short of the paper's −136.9 ± 1.29, after 10 % of the paper's env" in said
