@@ -119,6 +119,7 @@ def test_a_run_goes_to_weights_and_biases_offline(tiny, run_directory, monkeypat
         assert [entry["mean_return"] for entry in history(file)] == [row["mean_return"] for row in own]
         assert [entry["_step"] for entry in history(file)] == [row["env_steps"] for row in own]
     before = records.read_json(run_directory / "wandb.json")
+    time.sleep(1.1)  # wandb names its folders by the second
     train_run(dataclasses.replace(config, epochs=6), run_directory)
     assert records.read_json(run_directory / "wandb.json") == {**before, "epoch": 6}
     (later,) = set(run_directory.glob("wandb/offline-run-*-0/*.wandb")) - set(files)
