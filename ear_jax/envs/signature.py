@@ -19,14 +19,8 @@ from ear_jax.tasks import TaskSet
 
 Signature = dict[str, list[float]]
 STATES = 64  # made-up ones
-ORDER = (
-    "observe",
-    "actuate",
-    "terminated",
-    "outcome",
-    "achieved",
-    "reward",
-)  # a change is named by the first it shows in
+# What a change shows in; the first of them names it.
+ORDER = ("observe", "actuate", "terminated", "outcome", "achieved", "reward")
 TOLERANCE = 1e-3  # relative
 
 
