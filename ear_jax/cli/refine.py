@@ -32,7 +32,7 @@ class RefineCommand(OnRun):
     iterations: int = 300
     """Iterations, each of fresh episodes and of updates from them."""
     iteration_episodes: int = 80
-    """Episodes of an iteration, shared evenly by the tasks; each plays a whole number, rounded up."""
+    """Episodes of an iteration, shared evenly by the tasks and rounded up for each."""
     divergence: float = 0.03
     """KL divergence by which an iteration changes the policy, at first; it falls to a tenth, and sets the step size."""
     noise: float = 0.5
